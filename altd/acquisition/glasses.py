@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from altd.acquisition.lamps.controller import LampController
 from altd.acquisition.self_check.frames import MARGIN_NS
-from altd.config import AnySwitchesSettings, Config, RowSettings, software_triggered
+from altd.config import AnySwitchesSettings, Config, RowSettings
 from altd.ports import Clock, LampsError
 from altd.records import Frame
 
@@ -119,7 +119,7 @@ def glass_cycle(switches: LampController[str], config: Config, fps: float, clock
 
 def _spare_frames(config: Config) -> int:
     """Return the frame intervals of a visit besides its exposures; more where triggers are uneven."""
-    return 3 if software_triggered(config.cameras) else 1
+    return 3 if any(camera.software_triggered for camera in config.cameras.values()) else 1
 
 
 def _visits(config: Config) -> RowSettings | AnySwitchesSettings:

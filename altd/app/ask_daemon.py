@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 
 from altd.app.settings import socket_to_ask
 from altd.config import Config
-from altd.config.table import NAME_PATTERN
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
+from altd.files.table import NAME_PATTERN
 from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.instruments.row.measurement import quantities_of

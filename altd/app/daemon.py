@@ -45,12 +45,8 @@ from altd.app.parts import (
 )
 from altd.app.reloading import Reloading
 from altd.app.self_check import check_parts_of, fps_of, geometry_of, why_unchecked
-from altd.config import (
-    CameraLampsSettings,
-    CameraSwitchesSettings,
-    Config,
-    LiveCameraSettings,
-)
+from altd.config import Config, LiveCameraSettings
+from altd.devices.camera_lamps import CameraLampsSettings, CameraSwitchesSettings
 from altd.errors import BadInputError, one_line, unwrap_group
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.frame_chain import Provenance, Seen

@@ -18,6 +18,7 @@ from altd.acquisition.kept_frames.store import RecordingStore
 from altd.app.parts import AnyCalibration, led_plate_of
 from altd.app.settings import service_folder
 from altd.config import Config
+from altd.config.unit import target_headers, unit_header
 from altd.errors import one_line
 from altd.history.columns import columns_of
 from altd.history.history import History, NoHistoryError
@@ -29,7 +30,7 @@ from altd.history.running import before_start
 from altd.history.store import Store
 from altd.ports import Camera, Clock
 from altd.publish.serial.parts_text import Past
-from altd.recording.header import Kind, target_headers, unit_header
+from altd.recording.header import Kind
 from altd.records import Measurement, Quantities
 from altd.runtime.service_manager import state_folder
 from altd.status.availability import MONTH_S, Availability, Before

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 from altd.acquisition.temperatures import CameraThermometer, watch_temperature
 from altd.app.parts import AnyCalibration
-from altd.config import AravisCameraSettings, Config
-from altd.devices.hwmon import HwmonThermometer
+from altd.config import Config
 from altd.ports import Camera, Clock, TemperatureCamera, Thermometer
 from altd.status.health import Health
 from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures
@@ -32,14 +31,15 @@ class MaintenanceWatches:
         self._thermometers: list[Thermometer] = []
         limits: dict[str, TemperatureLimits] = {}
         for settings in config.thermometers:
-            self._thermometers.append(HwmonThermometer(settings))
+            self._thermometers.append(settings.thermometer())
             limits[settings.name] = TemperatureLimits(settings.min_celsius, settings.max_celsius)
         for name, camera in cameras.items():
             of_camera = config.cameras.get(name)
-            if isinstance(camera, TemperatureCamera) and isinstance(of_camera, AravisCameraSettings):
+            within = None if of_camera is None else of_camera.celsius_limits
+            if isinstance(camera, TemperatureCamera) and within is not None:
                 inside = CameraThermometer(camera)
                 self._thermometers.append(inside)
-                limits[inside.name] = TemperatureLimits(of_camera.min_celsius, of_camera.max_celsius)
+                limits[inside.name] = TemperatureLimits(*within)
         self.trends = SpotTrends(
             {target.camera: target.name for target in config.targets}, config.maintenance
         )

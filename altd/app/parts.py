@@ -12,26 +12,16 @@ from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.app.baseline import baseline_file
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
 from altd.calibration.planar_file import check_planar_camera, load_planar_calibration
-from altd.config import (
-    AravisCameraSettings,
-    CameraLampsSettings,
-    CameraSwitchesSettings,
-    Config,
-    InclinometerSettings,
-    LiveCameraSettings,
-    RecordingCameraSettings,
-    V4l2CameraSettings,
-    software_triggered,
-)
-from altd.devices.playback import Playback, PlaybackCamera
-from altd.devices.trigger_times import TriggerTimes
+from altd.config import Config, InclinometerSettings, LiveCameraSettings
+from altd.devices.playback import RecordingCameraSettings
+from altd.devices.playback.player import PlaybackCamera
+from altd.devices.settings import SharedParts
 from altd.errors import BadInputError
 from altd.files.reading import check_rights
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
-from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, Switches, SwitchingCamera
+from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, Switches
 from altd.recording.header import LedPlateHeader
-from altd.recording.reader import open_recording
 from altd.records import CameraIdentity
 from altd.runtime.clock import SystemClock
 
@@ -69,11 +59,11 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
     missing = {file.path for file in missing_files(config)}
     cameras: dict[str, Camera] = {}
     errors: dict[str, BadInputError] = {}
-    playbacks = _Playbacks()
+    shared = SharedParts(SystemClock())
     for name, settings in config.cameras.items():
         if isinstance(settings, RecordingCameraSettings) and settings.path not in missing:
             try:
-                cameras[name] = playbacks.camera(name, settings)
+                cameras[name] = settings.camera(name, shared)
             except BadInputError as error:
                 errors.setdefault(str(error), error)
     calibration = None
@@ -118,56 +108,8 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
     """Return the cameras of a config; raises BadInputError that names ``place`` or the recording."""
     if not config.cameras:
         raise BadInputError(place, "cameras: no [cameras.…] table")
-    playbacks = _Playbacks()
-    cameras: dict[str, Camera] = {}
-    triggers = trigger_times_of(config)
-    for name in config.measuring_cameras:
-        settings = config.cameras[name]
-        if isinstance(settings, RecordingCameraSettings):
-            cameras[name] = playbacks.camera(name, settings)
-        else:
-            cameras[name] = live_camera(name, settings, triggers)
-    return cameras
-
-
-def trigger_times_of(config: Config) -> TriggerTimes | None:
-    """Return the instants at which software triggers the cameras, such as all can take; None: it does not."""
-    software = list(software_triggered(config.cameras).values())
-    if not software:
-        return None
-    busy_ms = max(camera.busy_ms for camera in software)
-    return TriggerTimes(round(1e9 / software[0].fps), round(1e6 * busy_ms))
-
-
-class _Playbacks:
-    """Playbacks of recordings; all cameras of a recording share one."""
-
-    def __init__(self) -> None:
-        self._playbacks: dict[Path, Playback] = {}
-
-    def camera(self, name: str, settings: RecordingCameraSettings) -> PlaybackCamera:
-        """Return a camera of a recording; raises BadInputError that names the recording."""
-        playback = self._playbacks.get(settings.path)
-        if playback is None:
-            recording = open_recording(settings.path)
-            playback = Playback(recording, SystemClock(), settings.pace == "realtime", settings.repeat)
-            self._playbacks[settings.path] = playback
-        return PlaybackCamera(name, playback)
-
-
-def live_camera(
-    name: str, settings: V4l2CameraSettings | AravisCameraSettings, triggers: TriggerTimes | None = None
-) -> Camera:
-    """Return the driver for a camera's table, imported only if used; BadInputError if the import fails."""
-    if isinstance(settings, V4l2CameraSettings):
-        from altd.devices.v4l2.camera import V4l2Camera
-
-        return V4l2Camera(name, settings)
-    try:
-        from altd.devices.aravis.driver import AravisCamera
-    except ImportError as error:
-        raise BadInputError(f"cameras.{name}", str(error)) from error
-    return AravisCamera(name, settings, triggers)
+    shared = SharedParts(SystemClock())
+    return {name: config.cameras[name].camera(name, shared) for name in config.measuring_cameras}
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
@@ -224,62 +166,27 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
 
     ``alone``: no daemon acquires frames of these cameras. Raises BadInputError that names ``place``.
     """
-    if config.lamps is None:
-        return None
-    if not isinstance(config.lamps, CameraLampsSettings):
-        from altd.devices.gpio.lamps import GpioFrameLamps
-
-        return GpioFrameLamps(config.lamps)
-    from altd.devices.camera_lamps import CameraLamps
-
-    switching = {name: _switching(cameras, name, place, "lamps") for name in config.lamps.cameras}
-    return CameraLamps(switching, config.lamps.line, alone)
+    return None if config.lamps is None else config.lamps.lamps(cameras, place, alone)
 
 
 def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> Switches | None:
     """Return the switches of the glasses; None: there are none. Raises BadInputError that names ``place``."""
-    if config.switches is None:
-        return None
-    if not isinstance(config.switches, CameraSwitchesSettings):
-        from altd.devices.gpio.lamps import GpioSwitches
-
-        return GpioSwitches(config.switches, [target.name for target in config.switched_targets])
-    from altd.devices.camera_lamps import CameraSwitches
-
     camera_of = {target.name: target.camera for target in config.switched_targets}
-    switching = {name: _switching(cameras, name, place, "switches") for name in camera_of.values()}
-    return CameraSwitches(switching, camera_of, config.switches.line)
-
-
-def _switching(cameras: Mapping[str, Camera], name: str, place: Path, table: str) -> SwitchingCamera:
-    camera = cameras[name]
-    if not isinstance(camera, SwitchingCamera):
-        raise BadInputError(place, f"{table}: camera {name!r} has no output to switch")
-    return camera
+    return None if config.switches is None else config.switches.switches(camera_of, cameras, place)
 
 
 def indicators_of(config: Config) -> Indicators | None:
     """Return the indicator lamps of a config; None: it has none."""
-    if config.indicators is None:
-        return None
-    from altd.devices.gpio.lamps import GpioIndicators
-
-    return GpioIndicators(config.indicators)
+    return None if config.indicators is None else config.indicators.indicators()
 
 
 def inclinometer_of(config: Config) -> tuple[Inclinometer, InclinometerSettings] | None:
     """Return the inclinometer of a config with its settings; None: it has none."""
-    if config.inclinometer is None:
-        return None
-    from altd.devices.inclinometer.driver import ModbusInclinometer
-
-    return ModbusInclinometer(config.inclinometer), config.inclinometer
+    return None if config.inclinometer is None else (config.inclinometer.inclinometer(), config.inclinometer)
 
 
 def stage_of(config: Config, place: Path) -> Stage:
     """Return the stage of a config; raises BadInputError that names ``place``."""
     if config.stage is None:
         raise BadInputError(place, "stage: no [stage] table")
-    from altd.devices.grbl.driver import GrblStage
-
-    return GrblStage(config.stage)
+    return config.stage.stage()

@@ -27,10 +27,11 @@ from altd.app.parts import (
 )
 from altd.app.self_check import fps_of, why_unchecked
 from altd.config import Config, LiveCameraSettings
+from altd.config.unit import target_headers, unit_header
 from altd.errors import BadInputError
 from altd.measuring.chain import View
 from altd.ports import Camera, Lamps, LampsError, Switches
-from altd.recording.header import Kind, LedPlateHeader, PlateHeader, target_headers, unit_header
+from altd.recording.header import Kind, LedPlateHeader, PlateHeader
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health

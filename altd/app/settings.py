@@ -11,9 +11,9 @@ from altd.app.calibration_summary import why_unusable
 from altd.config import Config, LocalSettings, TelegramPortSettings
 from altd.config.draft import Draft
 from altd.config.loading import config_of, read_config
-from altd.config.table import shown
 from altd.config.wording import Fault
 from altd.errors import BadInputError
+from altd.files.table import shown
 from altd.publish.serial.telegram import longest_bytes
 from altd.runtime.service_manager import runtime_folder, state_folder
 from altd.serial_port.port import seconds_on_line

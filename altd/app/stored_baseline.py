@@ -11,7 +11,8 @@ from altd.app.baseline import BaselineFile, baseline_path
 from altd.app.row_replay import open_row_replay
 from altd.app.settings import service_folder
 from altd.calibration.file import load_calibration
-from altd.config import Config, RecordingCameraSettings, RowSettings
+from altd.config import Config, RowSettings
+from altd.devices.playback import RecordingCameraSettings
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 from altd.records import counted

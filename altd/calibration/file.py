@@ -35,11 +35,11 @@ from altd.calibration.file_tables import (
     table_of,
 )
 from altd.calibration.result import check_calibration
-from altd.config.table import FAULTS, Celsius, Millimetres, Table
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
 from altd.files.record_tables import At, attributes_of, held_in, record_from
+from altd.files.table import FAULTS, Celsius, Millimetres, Table
 from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration, CalibrationFile, TargetCalibration
 from altd.recording.header import RecordingHeader

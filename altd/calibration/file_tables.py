@@ -19,9 +19,9 @@ from pydantic import (
     create_model,
 )
 
-from altd.config.table import Millimetres, Table, complaint
 from altd.files.picture import decode_png
 from altd.files.record_tables import At, attributes_of, held_in
+from altd.files.table import Millimetres, Table, complaint
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import ROUND, Model, TensorMap
 from altd.records import FloatArray, Origin

@@ -12,9 +12,9 @@ from pydantic import AfterValidator, Field, PlainSerializer, TypeAdapter, Valida
 
 from altd.calibration.file import RecordingTable, UnitTable, content_of, read_calibration
 from altd.calibration.file_tables import ARRAY, Side, array_of, listed
-from altd.config.table import Table, complaint
 from altd.errors import BadInputError
 from altd.files.record_tables import At, attributes_of, held_in, record_from
+from altd.files.table import Table, complaint
 from altd.files.writing import write_file
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.instruments.planar.plane import Model

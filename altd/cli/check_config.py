@@ -30,9 +30,9 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.parts import check_files, missing_files
     from altd.app.self_check import fps_of
     from altd.app.settings import check_restored, load_settings
-    from altd.config import RecordingCameraSettings
-    from altd.doctor.machine import Machine
+    from altd.devices.playback import RecordingCameraSettings
     from altd.doctor.network import taken_ports
+    from altd.process.machine import Machine
     from altd.records import counted
 
     check_restored(Path(options.config))

@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the findings; return 1 if there are errors."""
-    from altd.doctor.checks import examine
-    from altd.doctor.finding import Verdict, in_lines
+    from altd.doctor.checks import examine, in_lines
+    from altd.process.machine import Verdict
 
     findings = examine(options.config)
     print_lines(*in_lines(findings))

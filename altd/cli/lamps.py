@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.lamps_by_hand import LampsByHand
     from altd.app.parts import cameras_of, indicators_of, lamps_of
     from altd.app.settings import load_beam_settings
-    from altd.config import CameraLampsSettings
+    from altd.devices.camera_lamps import CameraLampsSettings
     from altd.ports import Indicator, LampsError
 
     config, place = load_beam_settings(options.config), options.config

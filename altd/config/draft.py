@@ -10,14 +10,7 @@ from typing import Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
-from altd.config.devices import (
-    AnyLampsSettings,
-    AnySwitchesSettings,
-    GrblStageSettings,
-    InclinometerSettings,
-    IndicatorsSettings,
-)
+from altd.config import drivers
 from altd.config.interfaces import (
     AnySerialPortSettings,
     HttpSettings,
@@ -26,10 +19,11 @@ from altd.config.interfaces import (
     OpcUaSettings,
 )
 from altd.config.keeping import HistorySettings
-from altd.config.measuring import HwmonThermometerSettings, Measuring
+from altd.config.measuring import Measuring
 from altd.config.places import Keys
 from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
 from altd.config.whole import Config
+from altd.devices.settings import LiveCameraSettings
 
 _TABLES = (
     *("unit", "chain", "plate", "measuring", "installation", "modbus_tcp", "http", "mqtt", "opcua"),
@@ -45,7 +39,7 @@ class Draft:
     chain: RowSettings | None
     plate: Plate | None
     targets: tuple[Target | None, ...]
-    cameras: Mapping[str, AnyCameraSettings | None]
+    cameras: Mapping[str, drivers.AnyCameraSettings | None]
     measuring: Measuring | None
     installation: Installation | None
     modbus_tcp: ModbusTcpSettings | None
@@ -53,12 +47,12 @@ class Draft:
     mqtt: MqttSettings | None
     opcua: OpcUaSettings | None
     serial: tuple[AnySerialPortSettings | None, ...]
-    lamps: AnyLampsSettings | None
-    switches: AnySwitchesSettings | None
-    indicators: IndicatorsSettings | None
-    inclinometer: InclinometerSettings | None
-    thermometers: tuple[HwmonThermometerSettings | None, ...]
-    stage: GrblStageSettings | None
+    lamps: drivers.AnyLampsSettings | None
+    switches: drivers.AnySwitchesSettings | None
+    indicators: drivers.AnyIndicatorsSettings | None
+    inclinometer: drivers.AnyInclinometerSettings | None
+    thermometers: tuple[drivers.AnyThermometerSettings | None, ...]
+    stage: drivers.AnyStageSettings | None
     history: HistorySettings | None
 
     @property
@@ -112,7 +106,7 @@ def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
     named = cameras.items() if isinstance(cameras, dict) else ()
     return Draft(
         targets=rows("targets"),
-        cameras={name: _validated(AnyCameraSettings, camera) for name, camera in named},
+        cameras={name: _validated(drivers.AnyCameraSettings, camera) for name, camera in named},
         serial=rows("serial"),
         thermometers=rows("thermometers"),
         **{name: table(name) for name in _TABLES},

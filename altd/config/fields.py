@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from altd.config.places import Keys
-from altd.config.table import NAME_PATTERN, Table
+from altd.files.table import NAME_PATTERN, Table
 
 _TYPE_NAMES = {bool: "true or false", int: "whole number", float: "number", str: "text"}
 

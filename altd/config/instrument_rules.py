@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Set
 
-from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
-from altd.config.devices import CameraLampsSettings, CameraSwitchesSettings, GpiodSwitchesSettings
 from altd.config.draft import Draft
+from altd.config.drivers import WITH_OUTPUTS
 from altd.config.places import Keys
-from altd.config.table import shown
 from altd.config.unit import Installation
 from altd.config.wording import Fault
+from altd.devices.camera_lamps import CameraLampsSettings, CameraSwitchesSettings
+from altd.devices.gpio import GpiodSwitchesSettings
+from altd.devices.playback import RecordingCameraSettings
 from altd.errors import did_you_mean
+from altd.files.table import shown
 from altd.records import counted
 
 _MAX_ROW_TARGETS = 16
@@ -87,10 +89,11 @@ def _outputs(draft: Draft, line: str, names: Set[str]) -> Iterator[Fault]:
         camera, table = draft.cameras[name], ("cameras", name)
         if camera is None or isinstance(camera, RecordingCameraSettings):
             continue
-        if not isinstance(camera, AravisCameraSettings):
-            text = f'{shown(name)} has no output; possible: cameras with driver "aravis", or driver "gpiod"'
+        if not camera.has_outputs:
+            possible = f'cameras with driver {WITH_OUTPUTS}, or driver "gpiod"'
+            text = f"{shown(name)} has no output; possible: {possible}"
             yield Fault(("switches", "driver"), text, about=(table,))
-        elif camera.trigger == "line" and camera.trigger_line == line:
+        elif camera.trigger_input == line:
             text = f"{shown(line)} triggers camera {shown(name)}; possible: another line"
             yield Fault(place, text, about=((*table, "trigger_line"), (*table, "trigger")))
         elif isinstance(draft.lamps, CameraLampsSettings) and (line, name) in [

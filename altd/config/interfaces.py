@@ -5,12 +5,13 @@ from __future__ import annotations
 import ipaddress
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from altd.config.addresses import is_unassignable
-from altd.config.table import Device, Table, TcpPort, complaint, shown
+from altd.devices.settings import SERIAL, DeviceTable, Driver
+from altd.files.table import Device, Table, TcpPort, complaint, shown
+from altd.process.addresses import is_unassignable
 
 
 def _address(host: str) -> str:
@@ -258,8 +259,10 @@ class Rs485Settings(Table):
     """Time from the last bit to switching back, ms."""
 
 
-class SerialPortSettings(Table):
+class SerialPortSettings(DeviceTable):
     """Keys of all serial ports."""
+
+    about: ClassVar[Driver | None] = SERIAL
 
     device: Device
     """Device path, preferably a stable one such as /dev/serial/by-id/…."""

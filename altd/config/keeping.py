@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from altd.config.table import Table
+from altd.files.table import Table
 
 
 class HistorySettings(Table):

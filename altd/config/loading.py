@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from altd.config.draft import draft_of, draft_without
+from altd.config.drivers import LIVE
 from altd.config.places import Place, Places
 from altd.config.rules import RULES, Rule
 from altd.config.whole import Config
@@ -112,5 +113,5 @@ def _pair_live_cameras_by_time(document: dict[str, Any]) -> None:
         for camera in (cameras.values() if isinstance(cameras, dict) else ())
         if isinstance(camera, dict)
     }
-    if drivers & {"v4l2", "aravis"} and isinstance(measuring, dict):
+    if drivers & LIVE and isinstance(measuring, dict):
         measuring.setdefault("pair_by", "time")

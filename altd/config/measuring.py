@@ -1,4 +1,4 @@
-"""Settings of measuring: averaging, self-checks, and the limits of maintenance."""
+"""Settings of measuring: averaging, self-checks, the limits of maintenance, and ``altd scan``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from altd.config.table import Celsius, Name, Table, complaint
+from altd.files.table import Celsius, StageMillimetres, Table, complaint
+from altd.records.limits import MAX_LIMIT, Limits
 
 
 class Measuring(Table):
@@ -107,17 +108,68 @@ class Maintenance(Table):
     """Upper limit of the residuals as a share of those that make a spot `distorted`."""
 
 
-class HwmonThermometerSettings(Table):
-    """A temperature of the kernel's hwmon."""
+Uncertainty = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
 
-    driver: Literal["hwmon"]
-    name: Name
-    """Name in all outputs."""
-    chip: Annotated[str, Field(min_length=1, max_length=64)]
-    """Content of the chip's file `name`, as in `/sys/class/hwmon/hwmon0/name`."""
-    channel: Annotated[int, Field(ge=1, le=99)] = 1
-    """Number of the channel, as in `temp1_input`."""
-    min_celsius: Celsius = -10.0
-    """Temperature below which the unit is out of specification, °C."""
-    max_celsius: Celsius = 60.0
-    """Temperature above which the unit is out of specification, °C. A processor may be allowed more."""
+
+class ScanLimits(Table):
+    """Standard uncertainties (1 sigma, per axis) of stage, beam and targets that a scan cannot measure.
+
+    A missing key counts as 0, and the report lists it as not stated.
+    """
+
+    stage_mm: Uncertainty = None
+    """Positioning of the stage, mm, independent from node to node."""
+    stage_scale_ppm: Uncertainty = None
+    """Scale of the stage, ppm, as on its certificate."""
+    stage_square_mrad: Uncertainty = None
+    """Angle between the stage's axes, mrad."""
+    beam_normal_mm_per_m: Uncertainty = None
+    """Direction of the beam relative to the normal of the targets, mm/m."""
+    target_distance_mm: Uncertainty = None
+    """Distance from the first target to another one, mm."""
+    temperature_k: Uncertainty = None
+    """Temperature of the frame in service, against that of the scan, K."""
+
+    @property
+    def record(self) -> Limits | None:
+        """These limits for a recording's header; None: nothing is stated."""
+        stated = self.model_dump(exclude_none=True)
+        return Limits(**stated) if stated else None
+
+
+class Scan(Table):
+    """The grid of `altd scan` and the exposures at its nodes."""
+
+    columns: Annotated[int, Field(ge=4, le=64)] = 6
+    """Nodes along x."""
+    rows: Annotated[int, Field(ge=4, le=64)] = 5
+    """Nodes along y."""
+    pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 28.0
+    """Distance between nodes, mm. 6 × 5 nodes at 28 mm cover 140 × 110 mm."""
+    centre_x_mm: StageMillimetres = 0.0
+    """Middle of the grid in the unit frame, mm."""
+    centre_y_mm: StageMillimetres = 0.0
+    order: Literal["serpentine", "rows"] = "serpentine"
+    """``serpentine``: every second row backwards; ``rows``: all rows from the smallest x, for a stage with
+    backlash."""
+    exposures: Annotated[int, Field(ge=1, le=100)] = 2
+    """Exposures per node."""
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
+    """Time from standstill, or from switching LEDs, to the first exposure, s."""
+    led_pairs: Annotated[int, Field(ge=0, le=100)] = 2
+    """LED reference pairs (off, on) before the grid and after it; the first are a self-check."""
+    when_bad: Literal["stop", "warning"] = "stop"
+    """Action after a bad self-check: ``stop`` ends the scan, ``warning`` calibrates the unit as it is."""
+    retries: Annotated[int, Field(ge=0, le=100)] = 2
+    """Repetitions of a node with a bad spot."""
+    turned_deg: Literal[0, 180] = 0
+    """Turn of the unit about its own z axis, degrees. For 180, stage and beam are as in the scan before."""
+    temperature_c: Celsius | None = None
+    """Temperature of the frame in the scan, °C, if it is known."""
+    limits: ScanLimits = ScanLimits()
+    """Uncertainties that the scan cannot measure."""
+    flat_pitch_mm: Annotated[float, Field(ge=1, le=20)] = 2.5
+    """Step of ``altd scan --flat``, mm: a quarter of the spot's diameter, at most half of it."""
+    flat_margin_mm: Annotated[float, Field(ge=0, le=100)] = 10.0
+    """Reach of ``altd scan --flat`` beyond the grid, mm: three quarters of a spot diameter, where
+    possible."""

@@ -11,20 +11,17 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from altd.config.addresses import overlap
-from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings, software_triggered
-from altd.config.devices import (
-    CameraLampsSettings,
-    GpiodLampsSettings,
-    GpiodSwitchesSettings,
-)
 from altd.config.draft import Draft
+from altd.config.drivers import WITH_OUTPUTS
 from altd.config.instrument_rules import beam, planar, row
-from altd.config.measuring import HwmonThermometerSettings
 from altd.config.places import Keys
-from altd.config.table import shown
 from altd.config.wording import Fault
+from altd.devices.camera_lamps import CameraLampsSettings
+from altd.devices.gpio import GpiodTable
+from altd.devices.playback import RecordingCameraSettings
 from altd.errors import did_you_mean
+from altd.files.table import shown
+from altd.process.addresses import overlap
 from altd.records import counted
 
 _MIN_TARGETS = 2
@@ -127,13 +124,13 @@ def _rates(draft: Draft) -> Iterator[Fault]:
     measuring, fps = draft.measuring, min(camera.fps for camera in live.values())
     if measuring is None:
         return
-    triggered = software_triggered(live)
-    if triggered and (others := live.keys() - triggered):
+    triggered = [name for name, camera in live.items() if camera.software_triggered]
+    if triggered and (others := live.keys() - set(triggered)):
         text = (
             f'"software" does not go with camera {shown(min(others))} at its own times; possible: all or none'
         )
         about = tuple(("cameras", name, "driver") for name in others)
-        yield Fault(("cameras", next(iter(triggered)), "trigger"), text, about=about)
+        yield Fault(("cameras", triggered[0], "trigger"), text, about=about)
     longest_s = (1.5 if triggered else 1) / fps
     if measuring.silent_after_s <= longest_s:
         text = f"{measuring.silent_after_s:g} is shorter than a frame interval; possible: above {longest_s:g}"
@@ -266,19 +263,14 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         if name not in draft.cameras:
             suggestion = did_you_mean(name, draft.cameras)
             yield Fault(keys, f"there is no table [cameras.{name}]{suggestion}")
-        elif camera is not None and not isinstance(camera, AravisCameraSettings):
-            yield Fault(
-                keys, f'{shown(name)} has no output; possible: a camera with driver "aravis"', about=(table,)
-            )
+        elif camera is not None and not camera.has_outputs:
+            text = f"{shown(name)} has no output; possible: a camera with driver {WITH_OUTPUTS}"
+            yield Fault(keys, text, about=(table,))
         elif name not in named and None not in draft.targets:
             yield Fault(keys, f"{shown(name)} has no target and is not opened; possible: a target's camera")
         elif name in draft.lamps.cameras[:number]:
             yield Fault(keys, f"{shown(name)} is in the list twice; possible: each camera once")
-        elif (
-            isinstance(camera, AravisCameraSettings)
-            and camera.trigger == "line"
-            and camera.trigger_line == draft.lamps.line
-        ):
+        elif camera is not None and camera.trigger_input == draft.lamps.line:
             text = f"{shown(draft.lamps.line)} triggers camera {shown(name)}; possible: another line"
             yield Fault(("lamps", "line"), text, about=((*table, "trigger_line"), (*table, "trigger")))
 
@@ -286,17 +278,9 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
 def _gpio_lines(draft: Draft) -> Iterator[Fault]:
     """Check that each GPIO line has only one lamp or glass."""
     places: list[tuple[Keys, str, str]] = []
-    if isinstance(draft.lamps, GpiodLampsSettings):
-        places += [
-            (("lamps", "lines", n), draft.lamps.chip, line) for n, line in enumerate(draft.lamps.lines)
-        ]
-    if isinstance(draft.switches, GpiodSwitchesSettings):
-        places += [
-            (("switches", "lines", n), draft.switches.chip, line)
-            for n, line in enumerate(draft.switches.lines)
-        ]
-    if (indicators := draft.indicators) is not None:
-        places += [(("indicators", lamp), indicators.chip, line) for lamp, line in indicators.lines.items()]
+    for key in ("lamps", "switches", "indicators"):
+        if isinstance(table := getattr(draft, key), GpiodTable):
+            places += [((key, *keys), table.chip, line) for keys, line in table.places.items()]
     first: dict[tuple[str, str], Keys] = {}
     for keys, chip, line in places:
         if (other := first.setdefault((chip.removeprefix("/dev/"), line), keys)) != keys:
@@ -316,19 +300,20 @@ def _thermometers(draft: Draft) -> Iterator[Fault]:
                 f"{shown(settings.name)} is the name of thermometers.{other} too; possible: a different one"
             )
             yield Fault(("thermometers", number, "name"), text, about=(("thermometers", other, "name"),))
-        yield from _celsius(settings, ("thermometers", number))
+        yield from _celsius((settings.min_celsius, settings.max_celsius), ("thermometers", number))
     of_frame = None if draft.installation is None else draft.installation.thermometer
     if of_frame is not None and of_frame not in first and None not in draft.thermometers:
         text = f"{shown(of_frame)} is not the name of a thermometer{did_you_mean(of_frame, first)}"
         yield Fault(("installation", "thermometer"), text, about=(("thermometers",),))
     for name, camera in draft.cameras.items():
-        if isinstance(camera, AravisCameraSettings):
-            yield from _celsius(camera, ("cameras", name))
+        if camera is not None and camera.celsius_limits is not None:
+            yield from _celsius(camera.celsius_limits, ("cameras", name))
 
 
-def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: Keys) -> Iterator[Fault]:
-    if settings.max_celsius <= settings.min_celsius:
-        text = f"{settings.max_celsius:g} is not warmer; possible: above {settings.min_celsius:g}"
+def _celsius(limits: tuple[float, float], table: Keys) -> Iterator[Fault]:
+    lowest, highest = limits
+    if highest <= lowest:
+        text = f"{highest:g} is not warmer; possible: above {lowest:g}"
         yield Fault((*table, "max_celsius"), text, about=((*table, "min_celsius"),))
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from altd.config.table import Millimetres, Name, OffsetDegrees, Table, complaint
 from altd.errors import escaped
+from altd.files.table import Millimetres, Name, OffsetDegrees, Table, complaint
+from altd.recording.header import TargetHeader, UnitHeader
 from altd.records import GLASS_INDEX, Glass
 
 
@@ -107,6 +109,27 @@ class Target(Table):
     def glass(self) -> Glass | None:
         """Glass behind the printed surface; None: not stated."""
         return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
+
+
+def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
+    """Return a config's targets as in the header of a recording of its cameras."""
+    return tuple(
+        TargetHeader(
+            name=of.name,
+            z_mm=of.z_mm,
+            camera=of.camera,
+            glass_mm=of.glass_mm,
+            glass_index=of.glass.index if of.glass else None,
+            switched=of.switched or None,
+        )
+        for of in targets
+    )
+
+
+def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
+    """Return the unit of a config; the distance is for readers that do not support ``targets``."""
+    distance_mm = targets[-1].z_mm - targets[0].z_mm if targets else 0.0
+    return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
 
 class Installation(Table):

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from altd.config.cameras import AnyCameraSettings
-from altd.config.devices import (
-    AnyLampsSettings,
-    AnySwitchesSettings,
-    GrblStageSettings,
-    InclinometerSettings,
-    IndicatorsSettings,
-    Scan,
-)
+from altd.config import drivers
 from altd.config.interfaces import (
     AnySerialPortSettings,
     HttpSettings,
@@ -22,9 +14,10 @@ from altd.config.interfaces import (
     OpcUaSettings,
 )
 from altd.config.keeping import HistorySettings, KeptFrames
-from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
-from altd.config.table import Name, Table
+from altd.config.measuring import Maintenance, Measuring, Scan, SelfCheckSettings
 from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
+from altd.devices.settings import DeviceTable, Driver
+from altd.files.table import Name, Table
 
 
 class Config(Table):
@@ -32,7 +25,7 @@ class Config(Table):
 
     unit: Unit
     targets: tuple[Target, ...] = ()
-    cameras: dict[Name, AnyCameraSettings] = Field(default={})
+    cameras: dict[Name, drivers.AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
     chain: RowSettings | None = None
@@ -43,16 +36,16 @@ class Config(Table):
     opcua: OpcUaSettings | None = None
     local: LocalSettings | None = None
     serial: tuple[AnySerialPortSettings, ...] = ()
-    lamps: AnyLampsSettings | None = None
-    switches: AnySwitchesSettings | None = None
-    indicators: IndicatorsSettings | None = None
+    lamps: drivers.AnyLampsSettings | None = None
+    switches: drivers.AnySwitchesSettings | None = None
+    indicators: drivers.AnyIndicatorsSettings | None = None
     self_check: SelfCheckSettings = SelfCheckSettings()
-    inclinometer: InclinometerSettings | None = None
-    thermometers: tuple[HwmonThermometerSettings, ...] = ()
+    inclinometer: drivers.AnyInclinometerSettings | None = None
+    thermometers: tuple[drivers.AnyThermometerSettings, ...] = ()
     maintenance: Maintenance = Maintenance()
     kept_frames: KeptFrames = KeptFrames()
     history: HistorySettings = HistorySettings()
-    stage: GrblStageSettings | None = None
+    stage: drivers.AnyStageSettings | None = None
     scan: Scan = Scan()
 
     @property
@@ -70,3 +63,15 @@ class Config(Table):
     def measuring_cameras(self) -> tuple[str, ...]:
         """Cameras of the targets, in beam order; without targets, the plate's camera."""
         return tuple(target.camera for target in self.targets) or tuple(self.cameras)
+
+    def tables_by_driver(self) -> dict[Driver, dict[str, DeviceTable]]:
+        """Return the tables of the drivers that can check them, by the table's key or the camera's name."""
+        found: dict[Driver, dict[str, DeviceTable]] = {}
+        for key, value in self:
+            named = value if isinstance(value, dict) else {key: value}
+            if isinstance(value, tuple):
+                named = {f"{key}.{number}": table for number, table in enumerate(value)}
+            for name, table in named.items():
+                if isinstance(table, DeviceTable) and table.about:
+                    found.setdefault(table.about, {})[name] = table
+        return {driver: found[driver] for driver in drivers.DRIVERS if driver in found}

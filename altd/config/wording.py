@@ -11,9 +11,9 @@ from pydantic_core import ErrorDetails
 
 from altd.config.fields import expected, field_at, tables_at, tag_at, tags_of
 from altd.config.places import Keys, Place, Places
-from altd.config.table import FAULTS, shown
 from altd.config.whole import Config
 from altd.errors import did_you_mean
+from altd.files.table import FAULTS, shown
 
 
 @dataclass(frozen=True, slots=True)

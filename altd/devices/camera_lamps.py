@@ -3,9 +3,61 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Literal
 
-from altd.ports import CameraError, LampsError, SwitchingCamera
+from pydantic import Field
+
+from altd.devices.settings import DeviceTable, Visits
+from altd.errors import BadInputError
+from altd.files.table import Name
+from altd.ports import Camera, CameraError, Lamps, LampsError, Switches, SwitchingCamera
+
+
+class CameraLampsSettings(DeviceTable):
+    """Frame LEDs on an output line of the cameras (GenICam LineSelector, UserOutputValue).
+
+    Instead of the table above.
+    """
+
+    driver: Literal["camera"]
+    cameras: Annotated[tuple[Name, ...], Field(min_length=1)]
+    """Cameras whose output switches LEDs; all are switched together."""
+    line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's name of the output line."""
+
+    def lamps(self, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps:
+        """Return the lamps; raises BadInputError that names ``place`` for a camera without outputs."""
+        return CameraLamps(_switching(cameras, self.cameras, place, "lamps"), self.line, alone)
+
+
+class CameraSwitchesSettings(Visits):
+    """Voltage of the glasses, switched by an output line of each switched target's own camera.
+
+    Instead of the table above.
+    """
+
+    driver: Literal["camera"]
+    line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's name of the output line; on: the glass has voltage and is clear."""
+
+    def switches(self, camera_of: Mapping[str, str], cameras: Mapping[str, Camera], place: Path) -> Switches:
+        """Return the switches of targets with these cameras; raises BadInputError as ``lamps``."""
+        switching = _switching(cameras, camera_of.values(), place, "switches")
+        return CameraSwitches(switching, camera_of, self.line)
+
+
+def _switching(
+    cameras: Mapping[str, Camera], names: Iterable[str], place: Path, table: str
+) -> dict[str, SwitchingCamera]:
+    switching = {}
+    for name in names:
+        camera = cameras[name]
+        if not isinstance(camera, SwitchingCamera):
+            raise BadInputError(place, f"{table}: camera {name!r} has no output to switch")
+        switching[name] = camera
+    return switching
 
 
 class CameraLamps:

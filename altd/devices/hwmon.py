@@ -3,13 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
-from altd.config import HwmonThermometerSettings
-from altd.ports import ThermometerError
+from pydantic import Field
+
+from altd.devices.settings import DeviceTable
+from altd.files.table import Celsius, Name
+from altd.ports import Thermometer, ThermometerError
 
 _ROOT = Path("/sys/class/hwmon")
 _MAX_BYTES = 64
 """Maximum number of bytes read from a file: its content is a short name or a number."""
+
+
+class HwmonThermometerSettings(DeviceTable):
+    """A temperature of the kernel's hwmon. One table a temperature: `reasons.md`."""
+
+    driver: Literal["hwmon"]
+    name: Name
+    """Name in all outputs."""
+    chip: Annotated[str, Field(min_length=1, max_length=64)]
+    """Content of the chip's file `name`, as in `/sys/class/hwmon/hwmon0/name`."""
+    channel: Annotated[int, Field(ge=1, le=99)] = 1
+    """Number of the channel, as in `temp1_input`."""
+    min_celsius: Celsius = -10.0
+    """Temperature below which the unit is out of specification, °C."""
+    max_celsius: Celsius = 60.0
+    """Temperature above which the unit is out of specification, °C. A processor may be allowed more."""
+
+    def thermometer(self) -> Thermometer:
+        """Return the thermometer."""
+        return HwmonThermometer(self)
 
 
 class HwmonThermometer:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from altd.app.settings import load_settings
 from altd.config import Config
-from altd.doctor import devices, keeping, network, system
-from altd.doctor.finding import Finding
-from altd.doctor.machine import Machine
+from altd.config.drivers import DRIVERS
+from altd.devices.nodes import check_permission, node_paths
+from altd.doctor import keeping, network, system
+from altd.process.machine import Finding, Machine, Verdict
+from altd.records import counted
 
 Check = Callable[[], Iterator[Finding]]
 
@@ -34,17 +37,42 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
         "disk": lambda: system.disk(machine),
     }
     if config is None or place is None:
-        return general | {"devices": lambda: devices.found_devices(machine)}
+        return general | {"devices": lambda: found_devices(machine)}
     return general | {
         "calibration": lambda: system.calibration(config, place),
-        "cameras": lambda: devices.video_cameras(config, machine),
-        "network": lambda: network.gige_cameras(config, machine),
-        "gpio": lambda: devices.gpio_chips(config, machine),
-        "gpio lines": lambda: devices.gpio_lines(config),
-        "serial": lambda: devices.serial_ports(config, machine),
+        **{
+            driver.name: partial(driver.check, tables, machine)
+            for driver, tables in config.tables_by_driver().items()
+        },
         "listening": lambda: network.listening(config, machine),
         "broker": lambda: network.broker(config),
         "history": lambda: keeping.history(config, machine),
         "kept frames": lambda: keeping.recordings(config, machine),
         "local socket": lambda: keeping.local_socket(config, machine),
     }
+
+
+def found_devices(machine: Machine) -> Iterator[Finding]:
+    """Check without a config whether the existing devices may be opened."""
+    for what, *patterns in (driver.nodes for driver in DRIVERS if driver.nodes):
+        paths = [path for pattern in patterns for path in node_paths(pattern, machine)]
+        for path in paths:
+            yield from check_permission(f"{what} {path}", path, machine)
+        if not paths:
+            yield Finding.skipped(what, "none present")
+
+
+def in_lines(findings: list[Finding]) -> list[str]:
+    """Return the findings for a person, the remedy below each, and their numbers by verdict."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")
+        if finding.remedy:
+            lines.append(f"        fix: {finding.remedy}")
+    errors, warnings, goods, skips = (
+        sum(finding.verdict is verdict for finding in findings)
+        for verdict in (Verdict.ERROR, Verdict.WARNING, Verdict.GOOD, Verdict.SKIPPED)
+    )
+    counts = f"{counted(errors, 'error')}, {counted(warnings, 'warning')}, {goods} good"
+    lines.append(f"{counts}, {skips} skipped" if skips else counts)
+    return lines

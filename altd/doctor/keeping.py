@@ -14,11 +14,10 @@ from altd.acquisition.kept_frames.store import MIN_FREE_BYTES
 from altd.app.keeping import FILE_NAME, RECORDINGS
 from altd.app.settings import SERVICE_SOCKET
 from altd.config import Config
-from altd.doctor.finding import Finding
-from altd.doctor.machine import Machine
 from altd.doctor.system import STATE
 from altd.history.opening import check_pages, open_to_read
 from altd.history.schema import NewerFileError, UnusableFileError
+from altd.process.machine import Finding, Machine
 
 _CONNECT_TIMEOUT_S = 1.0
 _MB = 10**6

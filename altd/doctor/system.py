@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-import importlib
 import shutil
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.config import AravisCameraSettings, Config, RecordingCameraSettings
-from altd.devices.aravis import remedy_of
-from altd.doctor.finding import Finding
-from altd.doctor.machine import Machine
+from altd.config import Config
+from altd.config.drivers import DRIVERS
+from altd.devices.playback import RecordingCameraSettings
 from altd.errors import BadInputError
+from altd.process.machine import Finding, Machine
 from altd.vision import kernel
 
 STATE = "/var/lib/altd"
@@ -22,23 +21,18 @@ MIN_FREE_BYTES = 500_000_000
 MIN_YEAR = 2026
 """Minimum year of the clock: this release is no older, so an earlier year means that it was never set."""
 
-_REINSTALL = "docs/install.md   # install the release again: the package is incomplete"
 _UNSYNCHRONISED = 0x40
 
 
 def libraries(config: Config | None) -> Iterator[Finding]:
     """Check the libraries of the drivers that the config names; without a config, of all drivers."""
-    cameras = () if config is None else tuple(config.cameras.values())
-    lamps = () if config is None else (config.lamps, config.indicators)
+    used = DRIVERS if config is None else config.tables_by_driver()
     if kernel.is_compiled():
         yield Finding.good("spot fit", "compiled")
     else:
         remedy = "sudo apt-get install gcc   # and install the release again (docs/install.md)"
         yield Finding.warning("spot fit", f"{kernel.description}; it takes more CPU", remedy)
-    if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
-        yield _library("gpiod", "gpiod")
-    if config is None or any(isinstance(camera, AravisCameraSettings) for camera in cameras):
-        yield _aravis(needed=config is not None)
+    yield from (driver.library(config is not None) for driver in used if driver.library)
 
 
 def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
@@ -114,29 +108,3 @@ def clock_is_kept() -> bool | None:
         timex, 5 * ctypes.sizeof(ctypes.c_long)
     ).value  # after five fields of a word each
     return not status & _UNSYNCHRONISED
-
-
-def _library(name: str, module: str) -> Finding:
-    try:
-        importlib.import_module(module)
-    except Exception as error:  # an incomplete library can raise anything
-        return Finding.error(f"library {name}", _one_line(error), _REINSTALL)
-    return Finding.good(f"library {name}", "installed")
-
-
-def _aravis(needed: bool) -> Finding:
-    """Check PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
-    subject = "library aravis"
-    try:
-        gi = importlib.import_module("gi")
-        gi.require_version("Aravis", "0.8")
-        importlib.import_module("gi.repository.Aravis")
-    except Exception as error:
-        text = f"GigE Vision cameras need it: {_one_line(error)}"
-        remedy = f"{remedy_of(error)}   # see docs/cameras.md"
-        return (Finding.error if needed else Finding.warning)(subject, text, remedy)
-    return Finding.good(subject, "installed")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

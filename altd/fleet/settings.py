@@ -12,11 +12,11 @@ from pydantic import Field, ValidationError
 from altd.config.fields import expected, field_at
 from altd.config.interfaces import BrokerSettings
 from altd.config.places import Place, Places
-from altd.config.table import Table, shown
 from altd.config.wording import UNUSABLE, WHY
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import check_rights, read_file
+from altd.files.table import Table, shown
 
 _MAX_BYTES = 1 << 16
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from altd.config.table import Millimetres
+from altd.files.table import Millimetres
 from altd.records import FloatArray
 
 _EDGE_TOLERANCE_MM = 1e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -20,11 +20,10 @@ from pydantic import (
 )
 
 from altd import __version__
-from altd.config import Target
-from altd.config.table import NAME_PATTERN, Celsius
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.reading import read_file
+from altd.files.table import NAME_PATTERN, Celsius
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
 from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Origin
@@ -136,27 +135,6 @@ class TargetHeader(_Header):
     def glass(self) -> Glass | None:
         """Glass behind the target; None: not stated."""
         return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
-
-
-def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
-    """Return a config's targets as in the header of a recording of its cameras."""
-    return tuple(
-        TargetHeader(
-            name=of.name,
-            z_mm=of.z_mm,
-            camera=of.camera,
-            glass_mm=of.glass_mm,
-            glass_index=of.glass.index if of.glass else None,
-            switched=of.switched or None,
-        )
-        for of in targets
-    )
-
-
-def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
-    """Return the unit of a config; the distance is for readers that do not support ``targets``."""
-    distance_mm = targets[-1].z_mm - targets[0].z_mm if targets else 0.0
-    return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
 
 class PlateHeader(_Header):

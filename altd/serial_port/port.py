@@ -17,7 +17,7 @@ import serial
 
 from altd.config import SerialPortSettings
 from altd.runtime.threads import call_in_thread
-from altd.serial_port.opening import LineSettings, close_serial, open_serial
+from altd.serial_line.opening import LineSettings, close_serial, open_serial
 
 MAX_READ_BYTES = 4096
 

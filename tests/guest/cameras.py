@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from altd.config import V4l2CameraSettings
+from altd.devices.v4l2 import V4l2CameraSettings
 from altd.devices.v4l2.camera import V4l2Camera
 from altd.ports import CameraError
 

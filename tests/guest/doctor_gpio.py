@@ -6,8 +6,8 @@ from pathlib import Path
 from support.guest import leave_results
 
 from altd.config import Config
-from altd.doctor.devices import gpio_chips
-from altd.doctor.machine import Machine
+from altd.devices.gpio.find_chips import check
+from altd.process.machine import Machine
 
 BANK = Path("/sys/kernel/config/gpio-sim/board/bank")
 
@@ -24,5 +24,5 @@ for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0", "other-board"):
             "lamps": {"driver": "gpiod", "chip": chip, "lines": ["LED1"]},
         }
     )
-    found[chip] = [asdict(finding) for finding in gpio_chips(config, Machine())]
+    found[chip] = [asdict(finding) for finding in check({"lamps": config.lamps}, Machine())]
 leave_results(found)

@@ -7,7 +7,7 @@ from pathlib import Path
 from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
 
-from altd.config import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
+from altd.devices.gpio import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import chip_paths, read_chip
 from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators, GpioSwitches, OutputLines
 from altd.ports import Indicator, LampsError

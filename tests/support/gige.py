@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
 
-from altd.config import AravisCameraSettings
+from altd.devices.aravis import AravisCameraSettings
 from altd.ports import CameraError, CameraTimeoutError
 from altd.records import Frame
 

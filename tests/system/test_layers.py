@@ -16,9 +16,10 @@ CONTRACTS: list[dict[str, str]] = tomllib.loads((ROOT / "pyproject.toml").read_t
 ]["contracts"]
 BREAKS = {
     "One direction": ("altd/vision/frame_leds.py", "import altd.status.board"),
-    "The settings": ("altd/config/devices.py", "import altd.config.rules"),
+    "The settings": ("altd/config/keeping.py", "import altd.config.rules"),
     "An interface sees": ("altd/publish/http/answers.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),
+    "Drivers are known": ("altd/publish/http/answers.py", "import altd.devices.hwmon"),
     "The ingest knows": ("altd/fleet/table.py", "import altd.measuring.gate"),
     "Publishers do not know": ("altd/publish/serial/words.py", "import altd.publish.modbus.registers"),
     "Drivers do not know": ("altd/devices/gpio/lamps.py", "import altd.devices.grbl.line"),

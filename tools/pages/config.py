@@ -12,20 +12,10 @@ from typing import Any, get_args
 from pydantic.fields import FieldInfo
 
 from altd.config import (
-    AravisCameraSettings,
-    CameraLampsSettings,
-    CameraSwitchesSettings,
     Config,
     ConsolePortSettings,
-    ExposureSettings,
-    GpiodLampsSettings,
-    GpiodSwitchesSettings,
-    GrblStageSettings,
     HistorySettings,
     HttpSettings,
-    HwmonThermometerSettings,
-    InclinometerSettings,
-    IndicatorsSettings,
     Installation,
     KeptFrames,
     LocalSettings,
@@ -35,27 +25,31 @@ from altd.config import (
     ModbusTcpSettings,
     MqttSettings,
     OpcUaSettings,
-    Plate,
-    RecordingCameraSettings,
     RowSettings,
-    Rs485Settings,
     Scan,
-    ScanLimits,
     SelfCheckSettings,
-    SparkplugSettings,
     Table,
     Target,
     TelegramPortSettings,
     Unit,
-    V4l2CameraSettings,
+    drivers,
 )
-from altd.config.cameras import LiveCameraSettings
-from altd.config.fields import expected
-from altd.config.interfaces import SerialPortSettings
+from altd.config.fields import expected, tables_at, tags_of
+from altd.config.interfaces import Rs485Settings, SerialPortSettings, SparkplugSettings
 from altd.config.loading import config_of
+from altd.config.measuring import ScanLimits
+from altd.config.unit import Plate
+from altd.devices.settings import ExposureSettings, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.fleet.settings import DatabaseSettings, FleetBrokerSettings, RetentionSettings
 from tools.markdown import wrapped
+
+
+def _drivers(heading: str, kind: Any) -> list[tuple[str, type[Table], str]]:
+    """Return a row for each driver of a kind of device, live cameras first."""
+    tables = sorted(tables_at(kind, None), key=lambda table: "path" in table.model_fields)
+    return [(f'{heading}, driver = "{tags_of(table, "driver")[0]}"', table, "") for table in tables]
+
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
@@ -65,13 +59,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         LiveCameraSettings,
         "One table for each target's `camera`.",
     ),
-    ('[cameras.NAME], driver = "v4l2"', V4l2CameraSettings, ""),
-    (
-        '[cameras.NAME], driver = "aravis"',
-        AravisCameraSettings,
-        "Needs the Debian packages that `cameras.md` names.",
-    ),
-    ('[cameras.NAME], driver = "recording"', RecordingCameraSettings, "Made by `altd record`."),
+    *_drivers("[cameras.NAME]", drivers.AnyCameraSettings),
     (
         "[cameras.NAME.exposure]",
         ExposureSettings,
@@ -113,36 +101,21 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         Rs485Settings,
         "It follows the `[[serial]]` that it belongs to.",
     ),
-    ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Without the table: none."),
-    ('[lamps], driver = "camera"', CameraLampsSettings, "Instead of the table above."),
-    (
-        '[switches], driver = "gpiod"',
-        GpiodSwitchesSettings,
-        'With `instrument = "chain"` alone, where cameras are live: `chain.md`.',
-    ),
-    ('[switches], driver = "camera"', CameraSwitchesSettings, "Instead of the table above."),
-    ("[indicators]", IndicatorsSettings, "Without the table: none."),
+    *_drivers("[lamps]", drivers.AnyLampsSettings),
+    *_drivers("[switches]", drivers.AnySwitchesSettings),
+    ("[indicators]", drivers.AnyIndicatorsSettings, ""),
     (
         "[self_check]",
         SelfCheckSettings,
         "Without `[lamps]`, or with a calibration that has no LED references, "
         "nothing is checked: `selfcheck.md`.",
     ),
-    (
-        "[inclinometer]",
-        InclinometerSettings,
-        "Without the table roll is *not available*. Wiring, and what is shown when it fails: "
-        "`inclinometer.md`.",
-    ),
-    (
-        '[[thermometers]], driver = "hwmon"',
-        HwmonThermometerSettings,
-        "One table a temperature: `reasons.md`.",
-    ),
+    ("[inclinometer]", drivers.AnyInclinometerSettings, ""),
+    *_drivers("[[thermometers]]", drivers.AnyThermometerSettings),
     ("[maintenance]", Maintenance, "The reasons they lead to: `reasons.md`."),
     ("[kept_frames]", KeptFrames, "How to list and replay them: `history.md`."),
     ("[history]", HistorySettings, "Contents and retention: `history.md`."),
-    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
+    ("[stage]", drivers.AnyStageSettings, ""),
     ("[scan]", Scan, ""),
     ("[scan.limits]", ScanLimits, "Terms of the uncertainty budget: `budget.md`."),
     ("[broker] of fleet.toml", FleetBrokerSettings, "File of `altd ingest` and `altd fleet`: `fleet.md`."),

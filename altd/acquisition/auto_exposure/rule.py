@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.config import ExposureSettings
-from altd.config.cameras import READOUT_SHARE
+from altd.config import READOUT_SHARE, ExposureSettings
 from altd.ports import ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray, Spot

@@ -27,11 +27,12 @@ from altd.acquisition.scan.plan import (
     nodes_of,
 )
 from altd.config import Config
+from altd.config.unit import target_headers, unit_header
 from altd.errors import BadInputError
 from altd.mapping.grid import GridPart
 from altd.measuring.pairing import Pair
 from altd.ports import CameraError, Lamps, LampsError, Stage, StageError, StageNotFoundError, Switches
-from altd.recording.header import SelfCheckHeader, note_of, target_headers, unit_header
+from altd.recording.header import SelfCheckHeader, note_of
 from altd.records import Frame
 from altd.selfcheck.records import Verdict
 

@@ -258,5 +258,5 @@ def _flat(model: _Model, picture_mm: FloatArray) -> Flat:
     metrics = by_u[..., :, None] * by_u[..., None, :] + by_v[..., :, None] * by_v[..., None, :]
     response = np.empty(picture_mm.shape[:2], np.float32)
     for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # a row fits the cache
-        response[row] = model.series.at(model.moved(mm), metric)
+        response[row] = model.series.values(model.moved(mm), metric)
     return Flat.from_response(response, "print")

@@ -10,10 +10,10 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from altd.config.places import Place, Places
-from altd.config.table import Table
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import read_file
+from altd.files.table import Table
 
 _MAX_BYTES = 1 << 16
 

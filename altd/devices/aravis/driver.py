@@ -15,8 +15,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from altd.config import AravisCameraSettings
-from altd.devices.aravis import gvcp
+from altd.devices.aravis import AravisCameraSettings, gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock

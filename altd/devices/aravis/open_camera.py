@@ -7,8 +7,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from altd.config import AravisCameraSettings
-from altd.devices.aravis import gvcp
+from altd.devices.aravis import AravisCameraSettings, gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
 from altd.devices.aravis.gvcp import DiscoveredCamera

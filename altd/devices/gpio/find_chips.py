@@ -1,15 +1,21 @@
-"""GPIO chips of this computer and their lines."""
+"""GPIO chips of this computer and their lines; checks of those that a config names."""
 
 from __future__ import annotations
 
 import errno
 import grp
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import gpiod
 
+from altd.devices.gpio import GpiodTable
+from altd.devices.nodes import check_node, existing
+from altd.devices.settings import details
 from altd.ports import LampsError
+from altd.process.machine import Finding, Machine
+from altd.records import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,3 +123,77 @@ def _group_of(path: Path) -> str:
         return f"group {grp.getgrgid(status.st_gid).gr_name}"
     except KeyError:
         return f"group {status.st_gid}"
+
+
+def lines() -> Iterator[str]:
+    """Yield the chips and their lines for ``altd devices``."""
+    for path in chip_paths():
+        try:
+            chip = read_chip(path)
+        except LampsError as error:
+            yield f"  {error}"
+            continue
+        yield f'  chip = "{chip.label}"'
+        yield from details(f"{chip.path}, {counted(len(chip.lines), 'line')}")
+        names = [
+            f'"{line.name or line.offset}"' + (f" (used by {line.used_by})" if line.used_by else "")
+            for line in chip.lines
+        ]
+        yield from details(f"lines: {', '.join(names)}")
+
+
+def check(tables: Mapping[str, GpiodTable], machine: Machine) -> Iterator[Finding]:
+    """Check the chips and the lines of the tables."""
+    yield from _check_chips(dict.fromkeys(table.chip for table in tables.values()), machine)
+    yield from check_lines(tables)
+
+
+def _check_chips(chips: Iterable[str], machine: Machine) -> Iterator[Finding]:
+    for chip in chips:
+        subject, path = f"gpio {chip}", _gpio_chip(chip, machine)
+        if path is not None:
+            yield from check_node(subject, Path(path), ("/dev/gpiochip*",), machine)
+        else:
+            there = existing(("/dev/gpiochip*",), machine)
+            yield Finding.error(subject, f"no accessible chip has this name; {there}", "sudo gpiodetect")
+
+
+def check_lines(tables: Mapping[str, GpiodTable]) -> Iterator[Finding]:
+    """Check the lines, of chips that may be opened: each must exist and be used only once."""
+    named = [
+        (key if keys[0] == "lines" else f"{key}.{keys[0]}", table.chip, line)
+        for key, table in tables.items()
+        for keys, line in table.places.items()
+    ]
+    first: dict[tuple[Path, int], str] = {}
+    for key, wanted, name in named:
+        try:
+            chip = find_chip(wanted)
+        except LampsError:
+            continue  # the finding of the chip itself reports it
+        subject, remedy = f"gpio {wanted} {name}", "altd devices   # use one of these names in altd.toml"
+        try:
+            line = find_line(chip, name)
+        except LampsError as error:
+            yield Finding.error(subject, f"{key}: {error}", remedy)
+            continue
+        if (other := first.setdefault((chip.path, line.offset), key)) != key:
+            yield Finding.error(
+                subject, f"{key} is the same line as {other}, {line.offset} of {chip}", remedy
+            )
+
+
+def _gpio_chip(chip: str, machine: Machine) -> str | None:
+    """Device of a chip by its label, name or path. Reading a label requires permission to open the chip."""
+    for path in machine.paths("/dev/gpiochip*"):
+        if chip in (path, Path(path).name) or chip == _label(str(machine.at(path))):
+            return path
+    return None
+
+
+def _label(path: str) -> str:
+    try:
+        with gpiod.Chip(path) as chip:
+            return chip.get_info().label
+    except OSError:
+        return ""

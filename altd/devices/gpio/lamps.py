@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import gpiod
 from gpiod.line import Direction, Value
 
-from altd.config import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
+from altd.devices.gpio import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import find_chip, find_line
 from altd.ports import Indicator, LampsError
 
@@ -87,61 +87,36 @@ def _holder_name(holder: str) -> str:
     return f"{holder!r}, the daemon or one of its commands" if holder == CONSUMER else repr(holder)
 
 
-class GpioFrameLamps:
+class GpioFrameLamps(OutputLines):
     """See ``altd.ports.Lamps``: the lines of one chip, switched in one call."""
 
     def __init__(self, settings: GpiodLampsSettings) -> None:
-        self._names = settings.lines
-        self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
-
-    def open(self) -> None:
-        """Request the lines, dark; raises LampsError."""
-        self._lines.open()
+        super().__init__(settings.chip, settings.lines, settings.active_low)
 
     def switch(self, on: bool) -> None:
         """Light or darken all LEDs; raises LampsError."""
-        self._lines.set(self._names if on else ())
-
-    def close(self) -> None:
-        """Darken the LEDs and release the lines."""
-        self._lines.close()
+        self.set(self._names if on else ())
 
 
-class GpioSwitches:
+class GpioSwitches(OutputLines):
     """See ``altd.ports.Switches``: one line for each glass; active means that it has voltage."""
 
     def __init__(self, settings: GpiodSwitchesSettings, targets: Sequence[str]) -> None:
         self._line_of = dict(zip(targets, settings.lines, strict=True))
-        self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
-
-    def open(self) -> None:
-        """Request the lines, all glasses without voltage; raises LampsError."""
-        self._lines.open()
+        super().__init__(settings.chip, settings.lines, settings.active_low)
 
     def show(self, opaque: str) -> None:
         """Apply voltage to all glasses but this one; empty: to none. Raises LampsError."""
-        self._lines.set([line for target, line in self._line_of.items() if opaque and target != opaque])
-
-    def close(self) -> None:
-        """Switch off the voltage of all glasses and release the lines."""
-        self._lines.close()
+        self.set([line for target, line in self._line_of.items() if opaque and target != opaque])
 
 
-class GpioIndicators:
+class GpioIndicators(OutputLines):
     """See ``altd.ports.Indicators``; an indicator without a line is ignored."""
 
     def __init__(self, settings: IndicatorsSettings) -> None:
-        self._names = {Indicator(key): line for key, line in settings.lines.items()}
-        self._lines = OutputLines(settings.chip, tuple(self._names.values()), settings.active_low)
-
-    def open(self) -> None:
-        """Request the lines, dark; raises LampsError."""
-        self._lines.open()
+        self._line_of = {Indicator(key): line for key, line in settings.lines.items()}
+        super().__init__(settings.chip, tuple(self._line_of.values()), settings.active_low)
 
     def show(self, lit: frozenset[Indicator]) -> None:
         """Light these and darken the others; raises LampsError."""
-        self._lines.set([line for indicator, line in self._names.items() if indicator in lit])
-
-    def close(self) -> None:
-        """Darken the lamps and release the lines."""
-        self._lines.close()
+        self.set([line for indicator, line in self._line_of.items() if indicator in lit])

@@ -11,7 +11,7 @@ import threading
 import time
 from dataclasses import dataclass
 
-from altd.config import GrblStageSettings
+from altd.devices.grbl import GrblStageSettings
 from altd.devices.grbl.line import GrblPort
 from altd.devices.grbl.protocol import (
     HOLD,

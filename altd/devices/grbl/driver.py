@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 
-from altd.config import GrblStageSettings
+from altd.devices.grbl import GrblStageSettings
 from altd.devices.grbl.controller import MAX_TRIES, STUCK_TIMEOUT_S, GrblController
 from altd.devices.grbl.protocol import Point
 from altd.ports import (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from altd.devices.grbl.protocol import Reply, parse
 from altd.ports import StageLostError, StageNotFoundError
-from altd.serial_port.opening import LineSettings, close_serial, open_serial
+from altd.serial_line.opening import LineSettings, close_serial, open_serial
 
 _READ_TIMEOUT_S = 0.02
 _WRITE_TIMEOUT_S = 2.0

@@ -14,7 +14,7 @@ import termios
 import time
 from collections.abc import Iterable
 
-from altd.config import InclinometerSettings
+from altd.devices.inclinometer import InclinometerSettings
 from altd.devices.inclinometer.registers import SENSORS, Meaning, Question, Register
 from altd.ports import (
     InclinometerAccuracy,
@@ -24,7 +24,7 @@ from altd.ports import (
     InclinometerWrongError,
 )
 from altd.records.sensors import within_half_turn
-from altd.serial_port.opening import LineSettings, close_serial, open_serial
+from altd.serial_line.opening import LineSettings, close_serial, open_serial
 
 _READ_TIMEOUT_S = 0.01
 _ANSWER_TIMEOUT_S = 0.2

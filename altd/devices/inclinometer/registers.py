@@ -22,7 +22,7 @@ from altd.ports import (
     InclinometerTimeoutError,
     InclinometerWrongError,
 )
-from altd.serial_port.modbus_crc import register_after, with_crc
+from altd.serial_line.modbus_crc import register_after, with_crc
 
 HOLDING, INPUT = 3, 4
 """Functions: read holding registers, read input registers (Modbus Application Protocol V1.1b3, 6.3, 6.4)."""

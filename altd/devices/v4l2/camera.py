@@ -10,9 +10,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Self
 
-from altd.config import V4l2CameraSettings
 from altd.devices.counting import FrameCounter
-from altd.devices.v4l2 import abi
+from altd.devices.v4l2 import V4l2CameraSettings, abi
 from altd.devices.v4l2.controls import Control, controls_of, set_controls
 from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
 from altd.devices.v4l2.node import VideoNode

@@ -1,17 +1,25 @@
-"""Discovery of Video4Linux cameras, with the values for ``altd.toml``."""
+"""Discovery of Video4Linux cameras, with the values for ``altd.toml``; checks of those that it names."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from altd.devices.nodes import check_duplicates, check_node
+from altd.devices.settings import details
+from altd.devices.v4l2 import V4l2CameraSettings
 from altd.devices.v4l2.controls import Control, controls_of
 from altd.devices.v4l2.image import PIXEL_FORMATS, Size, fourccs, sizes
 from altd.devices.v4l2.node import VideoNode
+from altd.process.machine import Finding, Machine
 
 _DEVICES = Path("/dev")
 _BY_PATH = Path("/dev/v4l/by-path")
+_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
+_MAX_USB_SHARE = 0.6
+"""Share of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +75,61 @@ def _camera_at(device: Path, path: Path) -> FoundCamera | None:
         return FoundCamera(path, node.card, node.driver, node.serial, grey, tuple(controls_of(node).values()))
     finally:
         node.close()
+
+
+def lines() -> Iterator[str]:
+    """Yield the cameras of this machine for ``altd devices``."""
+    for found in find_cameras():
+        yield f'  device = "{found.path}"'
+        if isinstance(found, UnreadableCamera):
+            yield from details(f"cannot be read: {found.why}")
+            continue
+        yield from details(f"{found.card}, kernel driver {found.driver}")
+        if found.serial is not None:
+            yield f'  serial = "{found.serial}"'
+        for pixel_format, there in found.formats.items():
+            yield from details(f'pixel_format = "{pixel_format}": {", ".join(map(str, there))}')
+        if not found.formats:
+            yield from details("sends no grey picture that altd can use")
+        settable = [f"{c.name} {c.minimum} to {c.maximum}" for c in found.controls if c.writes]
+        if settable:
+            yield from details(f"controls: {', '.join(settable)}")
+
+
+def check(cameras: Mapping[str, V4l2CameraSettings], machine: Machine) -> Iterator[Finding]:
+    """Check the V4L2 cameras, and the USB buses that they are connected to."""
+    needs_mbit_s: dict[str, float] = {}
+    speeds: dict[str, int] = {}
+    for name, camera in cameras.items():
+        yield from check_node(f"camera {name} {camera.device}", camera.device, _NAMES, machine)
+        bus = _usb_bus(camera.device, machine)
+        if bus is not None:
+            number, speeds[bus[0]] = bus
+            bytes_px = 1 if camera.pixel_format == "GREY" else 2
+            needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
+            needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
+    yield from check_duplicates("camera", {name: camera.device for name, camera in cameras.items()}, machine)
+    for number, needed in needs_mbit_s.items():
+        subject, speed = f"USB bus {number}", speeds[number]
+        text = f"its cameras need {needed:.0f} Mbit/s of {speed}"
+        if needed <= _MAX_USB_SHARE * speed:
+            yield Finding.good(subject, text)
+        else:
+            remedy = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
+            yield Finding.error(subject, f"{text}: too much", remedy)
+
+
+def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
+    """Number of the USB bus of a camera and its speed in Mbit/s; None: it is not a USB camera."""
+    status = machine.status(device)
+    if status is None:
+        return None
+    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
+    folder = machine.at(f"/sys/dev/char/{number}/device").resolve()
+    for place in (folder, *folder.parents):
+        if (place / "busnum").exists():
+            try:
+                return (place / "busnum").read_text().strip(), int(float((place / "speed").read_text()))
+            except (OSError, ValueError):
+                return None
+    return None

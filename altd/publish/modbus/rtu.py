@@ -23,7 +23,7 @@ from altd.publish.modbus.responder import (
     Responder,
     serial_response,
 )
-from altd.serial_port.modbus_crc import START, TABLE, register_after, with_crc
+from altd.serial_line.modbus_crc import START, TABLE, register_after, with_crc
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.health import Component, State
 from altd.status.unit import PublishedUnit

@@ -75,7 +75,7 @@ def assert_hangs_and_ends(process: subprocess.Popen[bytes]) -> None:
         pytest.param("altd.serial_port.port open_serial", SERIAL, "", id="serial port"),
         pytest.param("altd.devices.inclinometer.driver open_serial", INCLINOMETER, "", id="inclinometer"),
         pytest.param("sqlite3 connect", HISTORY, "", id="disk of the history"),
-        pytest.param("altd.devices.playback:PlaybackCamera next_frame", "", "", id="camera"),
+        pytest.param("altd.devices.playback.player:PlaybackCamera next_frame", "", "", id="camera"),
         pytest.param("altd.app.diagnostics _versions", "", "diagnostics", id="diagnostics"),
         pytest.param("altd.app.calibration_files read_file", "", "calibration/file", id="calibration"),
         pytest.param("altd.credentials.file:Credentials is_password", "", "login", id="password"),

@@ -17,8 +17,9 @@ from altd.app.daemon import Daemon
 from altd.app.record import scanner_of
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import save_calibration
-from altd.config import Config, GpiodSwitchesSettings, KeptFrames, Scan, SelfCheckSettings, Target
+from altd.config import Config, KeptFrames, Scan, SelfCheckSettings, Target
 from altd.config import Unit as UnitTable
+from altd.devices.gpio import GpiodSwitchesSettings
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.records import Measurement

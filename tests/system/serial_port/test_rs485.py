@@ -10,16 +10,16 @@ import pytest
 from support.foreign import need_program
 from support.wire import Wire
 
-from altd.config import Rs485Settings
-from altd.serial_port.opening import LineSettings, open_serial
+from altd.config.interfaces import Rs485Settings
+from altd.serial_line.opening import LineSettings, open_serial
 from altd.serial_port.port import describe
 
 HERE = Path(__file__).parent
 OPENS = """
 import sys
 from pathlib import Path
-from altd.config import Rs485Settings
-from altd.serial_port.opening import LineSettings, close_serial, open_serial
+from altd.config.interfaces import Rs485Settings
+from altd.serial_line.opening import LineSettings, close_serial, open_serial
 try:
     rs485 = Rs485Settings.model_validate_json(sys.argv[2])
     close_serial(open_serial(Path(sys.argv[1]), LineSettings(9600, rs485=rs485)))

@@ -13,7 +13,8 @@ from support.cli import altd_here, refusal
 from support.places import ROOT
 
 from altd.cli import main as cli
-from altd.config import HwmonThermometerSettings, LiveCameraSettings, Measuring, Scan
+from altd.config import LiveCameraSettings, Measuring, Scan
+from altd.devices.hwmon import HwmonThermometerSettings
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
 from examples.python.altd_telegram import Reader
 from hw_sim.__main__ import command_parser

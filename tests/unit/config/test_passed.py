@@ -13,8 +13,8 @@ from support.unit_toml import ALL_FACES, played_toml
 from altd.app.daemon import Daemon, daemon_of
 from altd.app.parts import check_files
 from altd.app.settings import load_settings
-from altd.config.addresses import overlap
 from altd.errors import BadInputError
+from altd.process.addresses import overlap
 from altd.status.health import State
 
 

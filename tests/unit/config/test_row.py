@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from altd.config import CameraSwitchesSettings, Config, GpiodSwitchesSettings
+from altd.config import Config
 from altd.config.loading import config_of
+from altd.devices.camera_lamps import CameraSwitchesSettings
+from altd.devices.gpio import GpiodSwitchesSettings
 from altd.errors import BadInputError
 
 GPIOD = '[switches]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["GLASS_1", "GLASS_2"]\n'

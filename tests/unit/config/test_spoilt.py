@@ -9,7 +9,8 @@ import pytest
 
 from altd.app.settings import load_settings
 from altd.cli.main import main
-from altd.config import HwmonThermometerSettings, InclinometerSettings, Maintenance, SelfCheckSettings, Table
+from altd.config import InclinometerSettings, Maintenance, SelfCheckSettings, Table
+from altd.devices.hwmon import HwmonThermometerSettings
 from altd.errors import BadInputError
 
 from .spoilt import NO_TOML, OTHERS, TABLE

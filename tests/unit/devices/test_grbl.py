@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from altd.config import GrblStageSettings
-from altd.devices.grbl import controller
+from altd.devices.grbl import GrblStageSettings, controller
 from altd.devices.grbl.driver import GrblStage
 from altd.ports import (
     StageAlarmError,

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from altd.config import HwmonThermometerSettings
-from altd.devices.hwmon import HwmonThermometer
+from altd.devices.hwmon import HwmonThermometer, HwmonThermometerSettings
 from altd.ports import ThermometerError
 
 

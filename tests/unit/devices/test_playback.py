@@ -6,7 +6,7 @@ import pytest
 from support.clock import FakeClock
 from support.recordings import write_beams
 
-from altd.devices.playback import Playback, PlaybackCamera
+from altd.devices.playback.player import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.ports import CameraEndedError, CameraError, CameraTimeoutError, Stop
 from altd.recording.reader import open_recording

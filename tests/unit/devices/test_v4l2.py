@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from support.foreign import need, need_program
 
-from altd.config import V4l2CameraSettings
-from altd.devices.v4l2 import abi
+from altd.devices.v4l2 import V4l2CameraSettings, abi
 from altd.devices.v4l2.camera import ExposureTime, V4l2Camera
 from altd.devices.v4l2.controls import Control
 from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns

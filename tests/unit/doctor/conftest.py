@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from altd.config import Config
-from altd.doctor.finding import Finding, Verdict
-from altd.doctor.machine import Account, Machine
+from altd.process.machine import Account, Finding, Machine, Verdict
 
 SOMEBODY = Account("somebody", 4242, frozenset({4242}))
 
@@ -64,6 +63,12 @@ def configured(**tables: Any) -> Config:
     measuring = {"pair_by": "time"} if cameras else {}
     given = {"unit": unit, "targets": targets, "cameras": cameras, "measuring": measuring}
     return Config.model_validate(given | tables)
+
+
+def driver_findings(config: Config, tree: Tree) -> list[Finding]:
+    """What the drivers of the config find."""
+    checks = (driver.check(tables, tree.machine) for driver, tables in config.tables_by_driver().items())
+    return [finding for check in checks for finding in check]
 
 
 def says(findings: list[Finding], verdict: Verdict, words: str) -> Finding:

@@ -7,11 +7,10 @@ import pytest
 
 from altd.devices.gpio import find_chips
 from altd.devices.gpio.find_chips import GpioChip, GpioLine
-from altd.doctor import devices
-from altd.doctor.finding import Verdict, in_lines
-from altd.doctor.machine import Account, group_name
+from altd.doctor.checks import found_devices, in_lines
+from altd.process.machine import Account, Finding, Verdict, group_name
 
-from .conftest import Tree, configured, says
+from .conftest import Tree, configured, driver_findings, says
 
 BY_ID = "/dev/serial/by-id/usb-maker_adapter_1-if00"
 UNIT = "/etc/systemd/system/altd.service"
@@ -26,9 +25,9 @@ def port(tree: Tree, terminal: Path) -> Path:
     return terminal
 
 
-def found(tree: Tree, device: str = BY_ID) -> list[devices.Finding]:
+def found(tree: Tree, device: str = BY_ID) -> list[Finding]:
     config = configured(serial=[{"device": device, "speaks": "console"}])
-    return list(devices.serial_ports(config, tree.machine))
+    return driver_findings(config, tree)
 
 
 def test_a_port_that_may_be_opened_is_good(tree: Tree, port: Path) -> None:
@@ -114,7 +113,7 @@ def test_a_port_that_a_program_has_open(
 
 
 class TestUsbCameras:
-    def cameras(self, tree: Tree, speed_mbit_s: int, buses: tuple[int, int]) -> list[devices.Finding]:
+    def cameras(self, tree: Tree, speed_mbit_s: int, buses: tuple[int, int]) -> list[Finding]:
         """Two cameras that need 58 Mbit/s each, on these buses."""
         cameras = {}
         for number, (name, bus) in enumerate(zip(("front", "rear"), buses, strict=True)):
@@ -128,7 +127,7 @@ class TestUsbCameras:
             tree.link(f"/dev/video{number}", device)
             tree.link(f"/dev/v4l/by-path/usb-{number}", f"../../video{number}")
             cameras[name] = {"driver": "v4l2", "device": f"/dev/v4l/by-path/usb-{number}"}
-        return list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+        return driver_findings(configured(cameras=cameras), tree)
 
     @pytest.mark.parametrize(
         ("speed", "verdict", "said"),
@@ -146,13 +145,13 @@ class TestUsbCameras:
     def test_a_missing_camera_names_those_that_are_there(self, tree: Tree) -> None:
         tree.link("/dev/video0", "/dev/null")
         cameras = {name: {"driver": "v4l2", "device": f"/dev/v4l/{name}"} for name in ("front", "rear")}
-        findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+        findings = driver_findings(configured(cameras=cameras), tree)
         assert [f.text for f in findings] == ["does not exist; existing: /dev/video0"] * 2
 
 
 def test_a_gpio_chip_that_is_not_there(tree: Tree) -> None:
     lamps = {"driver": "gpiod", "chip": "lamp-board", "lines": ["LED1"]}
-    findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
+    findings = driver_findings(configured(lamps=lamps), tree)
     assert says(findings, Verdict.ERROR, "no accessible chip has this name; no other exists")
 
 
@@ -160,13 +159,13 @@ def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, terminal: Path) -> N
     terminal.chmod(0o600)
     tree.link("/dev/gpiochip0", terminal)
     lamps = {"driver": "gpiod", "chip": "gpiochip0", "lines": ["LED1"]}
-    findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
+    findings = driver_findings(configured(lamps=lamps), tree)
     assert says(findings, Verdict.ERROR, "somebody may not open it")
 
 
 def test_without_a_config_the_devices_that_are_there_are_tried(tree: Tree, port: Path) -> None:
     port.chmod(0o600)
-    findings = list(devices.found_devices(tree.machine))
+    findings = list(found_devices(tree.machine))
     assert says(findings, Verdict.ERROR, "somebody may not open it").subject == "serial /dev/ttyUSB0"
 
 
@@ -176,15 +175,15 @@ def test_without_a_config_on_board_ports_are_tried_that_have_a_uart(tree: Tree, 
         tree.link(f"/dev/ttyS{number}", terminal)
         if kind is not None:  # older kernels show it to root alone
             tree.write(f"/sys/class/tty/ttyS{number}/type", kind)
-    findings = list(devices.found_devices(tree.machine))
+    findings = list(found_devices(tree.machine))
     tried = [finding.subject for finding in findings if finding.verdict is Verdict.ERROR]
     assert tried == ["serial /dev/ttyS0", "serial /dev/ttyS2"]
 
 
 def test_where_no_device_is_nothing_is_called_good(tree: Tree) -> None:
-    findings = list(devices.found_devices(tree.machine))
+    findings = list(found_devices(tree.machine))
     assert [(finding.subject, finding.verdict) for finding in findings] == [
-        (what, Verdict.SKIPPED) for what in ("serial", "camera", "gpio")
+        (what, Verdict.SKIPPED) for what in ("camera", "gpio", "serial")
     ]
     assert in_lines(findings)[-1] == "0 errors, 0 warnings, 0 good, 3 skipped"
 
@@ -192,12 +191,12 @@ def test_where_no_device_is_nothing_is_called_good(tree: Tree) -> None:
 def test_one_port_by_two_of_its_names(tree: Tree, port: Path) -> None:
     port.chmod(0o666)
     entries = [{"device": device, "speaks": "console"} for device in (BY_ID, "/dev/ttyUSB0")]
-    findings = list(devices.serial_ports(configured(serial=entries), tree.machine))
+    findings = driver_findings(configured(serial=entries), tree)
     finding = says(findings, Verdict.ERROR, f"is the same device as {BY_ID}")
     assert finding.subject == "serial /dev/ttyUSB0"
     for table, driver in (("stage", "grbl"), ("inclinometer", "balluff_bsi_r11a0")):
         more = {table: {"driver": driver, "device": "/dev/ttyUSB0"}}
-        findings = list(devices.serial_ports(configured(serial=entries[:1], **more), tree.machine))
+        findings = driver_findings(configured(serial=entries[:1], **more), tree)
         assert says(findings, Verdict.ERROR, f"is the same device as {BY_ID}")
     assert all("same device" not in finding.text for finding in found(tree))
 
@@ -209,7 +208,7 @@ def test_one_camera_by_two_of_its_names(tree: Tree, terminal: Path) -> None:
         name: {"driver": "v4l2", "device": device}
         for name, device in (("front", "/dev/video0"), ("rear", "/dev/v4l/by-path/one"))
     }
-    findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+    findings = driver_findings(configured(cameras=cameras), tree)
     assert says(findings, Verdict.ERROR, "is the same device as front").subject == "camera rear"
 
 
@@ -224,10 +223,11 @@ class TestGpioLines:
         monkeypatch.setattr(find_chips, "chip_paths", lambda: [chip.path])
         monkeypatch.setattr(find_chips, "read_chip", lambda _: chip)
 
-    def findings(self, lines: list[str], ok: str, chip: str) -> list[devices.Finding]:
+    def findings(self, lines: list[str], ok: str, chip: str) -> list[Finding]:
         lamps = {"driver": "gpiod", "chip": self.LABEL, "lines": lines}
         indicators = {"driver": "gpiod", "chip": chip, "ok": ok}
-        return list(devices.gpio_lines(configured(lamps=lamps, indicators=indicators)))
+        (tables,) = configured(lamps=lamps, indicators=indicators).tables_by_driver().values()
+        return list(find_chips.check_lines(tables))
 
     def test_lines_that_are_there(self) -> None:
         assert self.findings(["LED1", "2"], "LED2", self.LABEL) == []

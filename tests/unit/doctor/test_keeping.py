@@ -12,8 +12,7 @@ from support.history import START_S, record_seconds
 from support.places import ROOT
 
 from altd.doctor import keeping
-from altd.doctor.finding import Finding, Verdict
-from altd.doctor.machine import Account, own_account
+from altd.process.machine import Account, Finding, Verdict, own_account
 
 from .conftest import Tree, configured, says
 

@@ -11,10 +11,9 @@ from altd.config import Config
 from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.doctor import network
-from altd.doctor.finding import Finding, Verdict
-from altd.doctor.machine import Account, Machine
+from altd.process.machine import Account, Finding, Machine, Verdict
 
-from .conftest import Tree, configured, says
+from .conftest import Tree, configured, driver_findings, says
 
 ROUTES = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
 
@@ -53,11 +52,11 @@ def camera(address: str = "192.168.77.20", name: str = "") -> DiscoveredCamera:
 
 
 def found(config: Config, tree: Tree) -> list[Finding]:
-    return list(dict.fromkeys(network.gige_cameras(config, tree.machine)))
+    return list(dict.fromkeys(driver_findings(config, tree)))
 
 
 def test_a_good_network(computer: Tree) -> None:
-    findings = network.gige_cameras(gige(), computer.machine)
+    findings = driver_findings(gige(), computer)
     assert {finding.verdict for finding in findings} == {Verdict.GOOD}
 
 

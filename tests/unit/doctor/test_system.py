@@ -19,7 +19,8 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
 from altd.devices import aravis
 from altd.doctor import checks, system
-from altd.doctor.finding import Finding, Verdict, in_lines
+from altd.doctor.checks import in_lines
+from altd.process.machine import Finding, Verdict
 from altd.records import Origin
 from altd.vision import kernel
 
@@ -30,8 +31,8 @@ NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 
 class TestLibraries:
     def test_those_that_are_there(self) -> None:
-        findings = list(system.libraries(None))
-        assert says(findings[1:2], Verdict.GOOD, "installed").subject == "library gpiod"
+        (finding,) = (found for found in system.libraries(None) if found.subject == "library gpiod")
+        assert (finding.verdict, finding.text) == (Verdict.GOOD, "installed")
 
     @pytest.mark.parametrize("is_compiled", [True, False])
     def test_whether_the_fit_is_compiled(self, is_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:

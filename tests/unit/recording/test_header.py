@@ -9,9 +9,11 @@ from support.pngs import png
 from support.recordings import header, seen, write_targets
 from support.unit_toml import TARGETS
 
-from altd.config import ScanLimits, Target
+from altd.config import Target
+from altd.config.measuring import ScanLimits
+from altd.config.unit import target_headers
 from altd.errors import BadInputError
-from altd.recording.header import RecordingHeader, read_header, target_headers
+from altd.recording.header import RecordingHeader, read_header
 from altd.recording.reader import Recording, open_recording
 from altd.recording.writer import RecordingWriter
 from altd.records import Limits

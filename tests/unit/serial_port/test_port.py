@@ -13,8 +13,8 @@ import serial
 from support.wire import Wire, socat_line
 
 from altd.config import SerialPortSettings
+from altd.serial_line.opening import LineSettings, close_serial, has_hardware, open_serial
 from altd.serial_port import port
-from altd.serial_port.opening import LineSettings, close_serial, has_hardware, open_serial
 from altd.serial_port.port import describe, opened, seconds_on_line
 
 GONE = "the port is gone"

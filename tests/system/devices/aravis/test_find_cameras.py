@@ -43,11 +43,12 @@ from pathlib import Path
 sys.modules["gi"] = None
 from altd.devices import aravis
 aravis.DEBIAN_GI = Path("none")
-from altd.app.parts import live_camera
-from altd.config import AravisCameraSettings
+from altd.devices.aravis import AravisCameraSettings
+from altd.devices.settings import SharedParts
 from altd.errors import BadInputError
+from altd.runtime.clock import SystemClock
 try:
-    live_camera("front", AravisCameraSettings(driver="aravis", device="10.0.0.7"))
+    AravisCameraSettings(driver="aravis", device="10.0.0.7").camera("front", SharedParts(SystemClock()))
 except BadInputError as error:
     print(error)
 """

@@ -14,12 +14,10 @@ import struct
 import termios
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import serial
 from serial.tools import list_ports
-
-from altd.config import Rs485Settings
 
 _STABLE = (Path("/dev/serial/by-id"), Path("/dev/serial/by-path"))
 
@@ -71,6 +69,14 @@ _SENTENCES = {
 }
 
 
+class Rs485(Protocol):
+    """The kernel's RS485 mode, as in ``[serial.rs485]``."""
+
+    rts_while_sending: Literal["high", "low"]
+    delay_before_ms: int
+    delay_after_ms: int
+
+
 @dataclass(frozen=True, slots=True)
 class LineSettings:
     """Format of bytes on a line: 8 data bits, without flow control."""
@@ -79,7 +85,7 @@ class LineSettings:
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
-    rs485: Rs485Settings | None = None
+    rs485: Rs485 | None = None
     """RS-485 mode of the kernel; None: the direction needs no switching."""
 
 
@@ -129,7 +135,7 @@ def close_serial(port: serial.Serial) -> None:
     port.close()
 
 
-def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485Settings) -> None:
+def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485) -> None:
     """Let the kernel switch the transceiver; raises OSError if it cannot, or not with these settings.
 
     pyserial's ``rs485_mode`` is not used: it keeps neither the error number nor the settings that the driver

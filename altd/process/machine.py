@@ -1,5 +1,6 @@
-"""The computer for the checks: its files under a root that a test may choose, its user, its service.
+"""What a check sees and returns: the computer, with its user and its service; and findings.
 
+The computer's files are under a root that a test may choose.
 Unreadable content is empty: a check reports that, and no check raises.
 """
 
@@ -13,7 +14,9 @@ import pwd
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
+from typing import Self
 
 from altd.process.port_owner import is_altd, process_at, words_of
 
@@ -188,3 +191,50 @@ def _keys(text: str) -> dict[str, list[str]]:
         if equals and not line.startswith(("#", ";")):
             keys[key.strip()] = [*keys.get(key.strip(), []), value.strip()] if value.strip() else []
     return {key: values for key, values in keys.items() if values}
+
+
+def said(error: Exception) -> str:
+    """Return the text of an error in one line, for a finding."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+class Verdict(StrEnum):
+    """Severity of a finding."""
+
+    GOOD = "good"
+    WARNING = "warning"
+    """The subject works but could be improved, or it could not be checked."""
+    ERROR = "ERROR"
+    """The subject fails or is unreliable."""
+    SKIPPED = "skipped"
+    """There is nothing to check: no such device, or the settings do without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the doctor. ``remedy`` is a command, or a change in a file."""
+
+    verdict: Verdict
+    subject: str
+    text: str
+    remedy: str = ""
+
+    @classmethod
+    def good(cls, subject: str, text: str) -> Self:
+        """Return a finding without a fault."""
+        return cls(Verdict.GOOD, subject, text)
+
+    @classmethod
+    def warning(cls, subject: str, text: str, remedy: str = "") -> Self:
+        """Return a warning."""
+        return cls(Verdict.WARNING, subject, text, remedy)
+
+    @classmethod
+    def error(cls, subject: str, text: str, remedy: str) -> Self:
+        """Return an error, which must have a remedy."""
+        return cls(Verdict.ERROR, subject, text, remedy)
+
+    @classmethod
+    def skipped(cls, subject: str, text: str) -> Self:
+        """Return a finding for a subject with nothing to check."""
+        return cls(Verdict.SKIPPED, subject, text)

@@ -1,0 +1,1 @@
+"""Serial lines: opening a port, and the CRC of Modbus RTU."""
