@@ -60,8 +60,8 @@ class DiagnosticPart:
 class UnitView:
     """The unit at one instant: what interfaces show, and all that they show.
 
-    It is for one answer, which is made without an await: the components report when they are first read, as
-    their reports cost more than all else.
+    It is for one answer, which is made without an await: state and components are determined when they are
+    first read, as they cost more than all else.
     """
 
     now_ns: int
@@ -79,9 +79,8 @@ class UnitView:
     """Time since the middle of the exposures of the latest measurement; None before the first."""
     published: int
     """Number of measurements published so far."""
-    state: StateReport | None
-    """State of the unit; None: it is not determined."""
     health: Health
+    read_state: Callable[[], StateReport | None]
     targets: tuple[TargetArea, ...]
     """Targets in beam order."""
     calibration: CalibrationFigures | None
@@ -92,6 +91,11 @@ class UnitView:
     zero: ZeroState
     stamp: Stamp | None
     """Stamp of the message that shows this view; None: it has none."""
+
+    @cached_property
+    def state(self) -> StateReport | None:
+        """State of the unit; None: it is not determined."""
+        return self.read_state()
 
     @cached_property
     def components(self) -> tuple[ComponentReport, ...]:
@@ -158,8 +162,8 @@ class PublishedUnit:
             measurement=board.read(),
             age_s=board.age_s(),
             published=board.published,
-            state=self.state(),
             health=self.health,
+            read_state=self.state,
             targets=self.targets,
             calibration=self.calibration,
             self_check=self.self_check.latest,
