@@ -1,4 +1,4 @@
-"""What drivers have in common: their tables of ``altd.toml``, and what altd does before a driver is used.
+"""Base of all drivers: their tables of ``altd.toml``, and the search and check before a driver is used.
 
 The package of a driver holds its tables; its other modules are imported only if the driver is used.
 """
@@ -23,7 +23,7 @@ _DETAIL_LETTERS = 102
 
 @dataclass(frozen=True, eq=False)
 class Driver:
-    """What altd does with a driver's devices before they are used."""
+    """Search and check of a driver's devices before they are used."""
 
     module: str
     """Module with ``lines()`` and ``check(tables, machine)``, imported only for these."""
@@ -60,7 +60,7 @@ SERIAL = Driver(
     "Serial ports: [[serial]], [inclinometer], [stage]",
     ("serial", "/dev/ttyUSB*", "/dev/ttyACM*", "/dev/ttyAMA*", "/dev/ttyS[0-9]*"),
 )
-"""Serial ports, whatever is connected to them."""
+"""Serial ports, with any device."""
 
 
 class DeviceTable(Table):
@@ -71,7 +71,7 @@ class DeviceTable(Table):
 
 @dataclass(frozen=True, slots=True)
 class SharedParts:
-    """What the cameras of one config share: a clock, and whatever their driver stores for the next one."""
+    """Parts that the cameras of one config share: a clock, and data that a driver stores for the next one."""
 
     clock: Clock
     parts: dict[object, Any] = field(default_factory=dict)

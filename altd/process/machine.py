@@ -1,4 +1,4 @@
-"""What a check sees and returns: the computer, with its user and its service; and findings.
+"""Input and output of a check: the computer, with its user and its service; and findings.
 
 The computer's files are under a root that a test may choose.
 Unreadable content is empty: a check reports that, and no check raises.

@@ -89,6 +89,7 @@ PURPOSES = {
     "prometheus-client": "the numbers for Prometheus, in its format",
     "wsproto": "pictures over a WebSocket",
     "psycopg": "PostgreSQL, for the ingest (extra `fleet`)",
+    "paho-mqtt": "packets, properties and reason codes of MQTT 5",
     "pydantic": "the settings, checked",
     "pygobject": "GigE Vision cameras, through Aravis (extra `aravis`)",
     "pyserial": "serial ports",

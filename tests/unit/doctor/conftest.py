@@ -66,7 +66,7 @@ def configured(**tables: Any) -> Config:
 
 
 def driver_findings(config: Config, tree: Tree) -> list[Finding]:
-    """What the drivers of the config find."""
+    """Findings of the drivers of the config."""
     checks = (driver.check(tables, tree.machine) for driver, tables in config.tables_by_driver().items())
     return [finding for check in checks for finding in check]
 

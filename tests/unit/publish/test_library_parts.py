@@ -1,4 +1,4 @@
-"""What altd uses of libraries beyond what they publish: a new minor version without it fails here by name."""
+"""Private parts of libraries that altd uses: a new minor version without one fails here by its name."""
 
 import inspect
 import re
