@@ -118,10 +118,16 @@ class Daemon:
         )
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
-        self.unit = PublishedUnit(self.board, self.health, facts, instrument.areas, self.state.read)
-        self.unit.calibration = instrument.figures
-        self.unit.calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
-        self.unit.diagnostics = diagnostic_parts(config)
+        self.unit = PublishedUnit(
+            self.board,
+            self.health,
+            facts,
+            instrument.areas,
+            self.state.read,
+            instrument.figures,
+            ReadCalibrationFiles(config.unit.calibration, calibration.file),
+            diagnostic_parts(config),
+        )
         self.past = DaemonHistory(self.unit, self.state)
         self.lamps: FrameLamps | None = None
         if lamps is not None:

@@ -122,16 +122,19 @@ class UnitView:
 class PublishedUnit:
     """A unit with its interfaces. ``state`` returns its present state; None: it is not determined.
 
-    ``calibration`` and ``calibration_files`` are None until a calibration is loaded.
+    ``diagnostics`` are contents of the diagnostics beyond what every interface shows.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  what there is to publish
         self,
         board: Board,
         health: Health,
         facts: UnitFacts = UnitFacts(),  # noqa: B008  frozen
         targets: tuple[TargetArea, ...] = (),
         state: Callable[[], StateReport | None] = lambda: None,
+        calibration: CalibrationFigures | None = None,
+        calibration_files: CalibrationFiles | None = None,
+        diagnostics: tuple[DiagnosticPart, ...] = (),
     ) -> None:
         self.board = board
         self.health = health
@@ -140,14 +143,13 @@ class PublishedUnit:
         self.state = state
         self.clock = health.clock
         self.events = health.events
-        self.calibration: CalibrationFigures | None = None
-        self.calibration_files: CalibrationFiles | None = None
+        self.calibration = calibration
+        self.calibration_files = calibration_files
+        self.diagnostics = diagnostics
         self.self_check = SelfCheckService(self.events)
         self.zero = Zero(self.events)
         self.recordings = RecordingService("this unit keeps no frames")
         self.pictures = PictureService("this unit shows no pictures")
-        self.diagnostics: tuple[DiagnosticPart, ...] = ()
-        """Contents of the diagnostics beyond what every interface shows."""
 
     def view(self, stamp: Stamp | None = None) -> UnitView:
         """Return the unit at this moment, for a message with this stamp."""
