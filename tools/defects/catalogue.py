@@ -75,8 +75,8 @@ DEFECTS = (
     Defect(
         "a failed part is started again without waiting longer each time",
         "altd/runtime/supervision.py",
-        "        backoff_s *= 2\n",
-        "        backoff_s *= 1\n",
+        "wait_s = min(2 * wait_s, limits.longest_s)",
+        "wait_s = min(wait_s, limits.longest_s)",
     ),
     Defect(
         "frames that were not taken in time are not counted",
