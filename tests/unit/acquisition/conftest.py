@@ -8,7 +8,7 @@ from altd.status.health import Component, Health
 
 @pytest.fixture
 async def clock() -> AsyncIterator[FakeClock]:
-    """That of the loop and of a camera's thread."""
+    """That of the loop and of the devices' threads."""
     clock = FakeClock.of_loop(8_000_000_000)
     yield clock
     clock.end()

@@ -134,19 +134,6 @@ async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
     await clock.stop(task)
 
 
-async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
-    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
-) -> None:
-    script = [CameraLostError("unplugged"), CameraNotFoundError("nothing there")] * 2
-    task = asyncio.create_task(acquire(ScriptedCamera(clock, *script, "frame"), AllFrames(), component))
-    await clock.until(lambda: component.state is State.OK)
-    await clock.stop(task)
-    assert caplog.messages == [
-        "camera front: lost: unplugged; trying again",
-        "camera front: not found: nothing there; trying again",
-    ]
-
-
 async def test_a_failure_is_news_again_when_the_camera_was_well_for_long(
     component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,14 +131,6 @@ async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Pa
     exposures = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT))
     recording = open_recording(tmp_path / "rec")
     assert len({row.sequence for row in recording.rows}) == exposures > 10
-
-
-@pytest.fixture
-async def clock() -> AsyncIterator[FakeClock]:
-    """That of the loop and of the threads of two cameras."""
-    clock = FakeClock.of_loop()
-    yield clock
-    clock.end()
 
 
 class LitSource:

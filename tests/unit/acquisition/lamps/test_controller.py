@@ -51,13 +51,6 @@ class Leds:
 
 
 @pytest.fixture
-async def clock() -> AsyncIterator[FakeClock]:
-    clock = FakeClock.of_loop()
-    yield clock
-    clock.end()
-
-
-@pytest.fixture
 def leds(clock: FakeClock) -> Leds:
     return Leds(clock)
 

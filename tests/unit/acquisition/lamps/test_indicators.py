@@ -100,13 +100,6 @@ class Row:
 
 class TestPanel:
     @pytest.fixture
-    async def clock(self) -> AsyncIterator[FakeClock]:
-        """Time passes only while the driver's thread has nothing to do."""
-        clock = FakeClock.of_loop()
-        yield clock
-        clock.end()
-
-    @pytest.fixture
     def health(self, clock: FakeClock) -> Health:
         return Health(clock)
 
