@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
+from functools import reduce
 
-def _table() -> tuple[int, ...]:
-    """Return the table of the CRC with the polynomial 0xA001 (6.2.2)."""
-    table = []
-    for register in range(256):
-        for _ in range(8):
-            register = (register >> 1) ^ (0xA001 if register & 1 else 0)
-        table.append(register)
-    return tuple(table)
-
-
-TABLE = _table()
 START = 0xFFFF
+TABLE = tuple(
+    reduce(lambda register, _: register >> 1 ^ 0xA001 * (register & 1), range(8), byte) for byte in range(256)
+)
+"""Registers after each byte, from 0, with the polynomial 0xA001 (6.2.2)."""
 
 
 def register_after(frame: bytes) -> int:
     """Return the CRC register after these bytes; 0 after a frame with its CRC."""
-    register = START
-    for byte in frame:
-        register = (register >> 8) ^ TABLE[(register ^ byte) & 0xFF]
-    return register
+    return reduce(lambda register, byte: register >> 8 ^ TABLE[(register ^ byte) & 0xFF], frame, START)
 
 
 def with_crc(frame: bytes) -> bytes:

@@ -57,11 +57,11 @@ class _Connection(OPCUAProtocol):
         of_address = _group(transport)
         same = sum(_group(each.transport) == of_address for each in self.clients)
         if same >= MAX_CONNECTIONS_OF_ONE_ADDRESS or len(self.clients) >= MAX_CONNECTIONS:
-            _iserver(self).refuse("connections")
+            self.iserver.refuse("connections")
             transport.close()
             return
         super().connection_made(transport)
-        _iserver(self).clients_changed.set()
+        self.iserver.clients_changed.set()
         sock = transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in _KEEP_ALIVE.items():
@@ -75,12 +75,12 @@ class _Connection(OPCUAProtocol):
 
     def connection_lost(self, ex: BaseException | None) -> None:
         """Remove the client."""
-        _iserver(self).begun.pop(self.peer_name, None)
+        self.iserver.begun.pop(self.peer_name, None)
         if self.processor is not None and self.processor.session is not None:
             self.processor.session.is_left = True
         super().connection_lost(ex)
         self.closing_tasks[:] = [task for task in self.closing_tasks if not task.done()]
-        _iserver(self).clients_changed.set()
+        self.iserver.clients_changed.set()
 
     def data_received(self, data: bytes) -> None:
         """Process bytes; a chunk larger than agreed ends the connection before it is complete."""
@@ -97,7 +97,7 @@ class _Connection(OPCUAProtocol):
 
     def abort(self) -> None:
         """End the connection at once."""
-        _iserver(self).refuse("connections")
+        self.iserver.refuse("connections")
         if self.transport is not None:
             self.transport.abort()
 
@@ -261,8 +261,3 @@ def _group(transport: asyncio.BaseTransport | None) -> str:
     peer = transport.get_extra_info("peername") if transport is not None else None
     address = address_of(peer[0]) if peer else None
     return "" if address is None else group_of(address)
-
-
-def _iserver(connection: OPCUAProtocol) -> LimitedServer:
-    assert isinstance(connection.iserver, LimitedServer)  # noqa: S101  made by OpcUaServer
-    return connection.iserver
