@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.app.baseline import baseline_file
@@ -15,7 +16,6 @@ from altd.calibration.planar_file import check_planar_camera, load_planar_calibr
 from altd.config import Config, InclinometerSettings, LiveCameraSettings
 from altd.devices.playback import RecordingCameraSettings
 from altd.devices.playback.player import PlaybackCamera
-from altd.devices.settings import SharedParts
 from altd.errors import BadInputError
 from altd.files.reading import check_rights
 from altd.instruments.planar.instrument import PlanarCalibration
@@ -59,11 +59,11 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
     missing = {file.path for file in missing_files(config)}
     cameras: dict[str, Camera] = {}
     errors: dict[str, BadInputError] = {}
-    shared = SharedParts(SystemClock())
+    shared: dict[object, Any] = {}
     for name, settings in config.cameras.items():
         if isinstance(settings, RecordingCameraSettings) and settings.path not in missing:
             try:
-                cameras[name] = settings.camera(name, shared)
+                cameras[name] = settings.camera(name, SystemClock(), shared)
             except BadInputError as error:
                 errors.setdefault(str(error), error)
     calibration = None
@@ -108,8 +108,8 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
     """Return the cameras of a config; raises BadInputError that names ``place`` or the recording."""
     if not config.cameras:
         raise BadInputError(place, "cameras: no [cameras.…] table")
-    shared = SharedParts(SystemClock())
-    return {name: config.cameras[name].camera(name, shared) for name in config.measuring_cameras}
+    clock, shared = SystemClock(), dict[object, Any]()
+    return {name: config.cameras[name].camera(name, clock, shared) for name in config.measuring_cameras}
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:

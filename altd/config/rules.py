@@ -18,6 +18,7 @@ from altd.config.places import Keys
 from altd.config.wording import Fault
 from altd.devices.camera_lamps import CameraLampsSettings
 from altd.devices.gpio import GpiodTable
+from altd.devices.gpio import places as places_on_chip
 from altd.devices.playback import RecordingCameraSettings
 from altd.errors import did_you_mean
 from altd.files.table import shown
@@ -280,7 +281,7 @@ def _gpio_lines(draft: Draft) -> Iterator[Fault]:
     places: list[tuple[Keys, str, str]] = []
     for key in ("lamps", "switches", "indicators"):
         if isinstance(table := getattr(draft, key), GpiodTable):
-            places += [((key, *keys), table.chip, line) for keys, line in table.places.items()]
+            places += [((key, *keys), table.chip, line) for keys, line in places_on_chip(table).items()]
     first: dict[tuple[str, str], Keys] = {}
     for keys, chip, line in places:
         if (other := first.setdefault((chip.removeprefix("/dev/"), line), keys)) != keys:

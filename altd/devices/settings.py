@@ -6,7 +6,7 @@ The package of a driver holds its tables; its other modules are imported only if
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from textwrap import wrap
@@ -27,8 +27,6 @@ class Driver:
 
     module: str
     """Module with ``lines()`` and ``check(tables, machine)``, imported only for these."""
-    name: str
-    """Name of its check, for a check that fails."""
     heading: str
     """Heading of its section in ``altd devices``."""
     nodes: tuple[str, ...] = ()
@@ -56,7 +54,6 @@ def details(text: str) -> Iterator[str]:
 
 SERIAL = Driver(
     "altd.devices.nodes",
-    "serial",
     "Serial ports: [[serial]], [inclinometer], [stage]",
     ("serial", "/dev/ttyUSB*", "/dev/ttyACM*", "/dev/ttyAMA*", "/dev/ttyS[0-9]*"),
 )
@@ -67,14 +64,6 @@ class DeviceTable(Table):
     """Base of the tables of all drivers."""
 
     about: ClassVar[Driver | None] = None
-
-
-@dataclass(frozen=True, slots=True)
-class SharedParts:
-    """Parts that the cameras of one config share: a clock, and data that a driver stores for the next one."""
-
-    clock: Clock
-    parts: dict[object, Any] = field(default_factory=dict)
 
 
 class CameraSettings(DeviceTable):
@@ -98,8 +87,11 @@ class CameraSettings(DeviceTable):
         """Temperatures inside the camera between which the unit is in specification, °C."""
         return None
 
-    def camera(self, name: str, shared: SharedParts) -> Camera:
-        """Return the camera, not open; raises BadInputError that names the file or key to correct."""
+    def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
+        """Return the camera, not open; raises BadInputError that names the file or key to correct.
+
+        ``shared`` is empty for the first camera of a config: a driver keeps there what its cameras share.
+        """
         raise NotImplementedError
 
 

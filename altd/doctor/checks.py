@@ -41,7 +41,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
     return general | {
         "calibration": lambda: system.calibration(config, place),
         **{
-            driver.name: partial(driver.check, tables, machine)
+            driver.heading: partial(driver.check, tables, machine)
             for driver, tables in config.tables_by_driver().items()
         },
         "listening": lambda: network.listening(config, machine),

@@ -6,15 +6,15 @@ import ipaddress
 import re
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from altd.devices.settings import Driver, LiveCameraSettings, SharedParts
+from altd.devices.settings import Driver, LiveCameraSettings
 from altd.devices.trigger_times import TriggerTimes
 from altd.errors import BadInputError
 from altd.files.table import Celsius, ControlValue, complaint, shown
-from altd.ports import Camera
+from altd.ports import Camera, Clock
 from altd.process.addresses import is_unassignable
 from altd.process.machine import Finding, said
 
@@ -65,7 +65,6 @@ class AravisCameraSettings(LiveCameraSettings):
 
     about: ClassVar[Driver | None] = Driver(
         "altd.devices.aravis.check",
-        "network",
         'Cameras: [cameras.NAME], driver = "aravis"',
         library=_library,
     )
@@ -110,7 +109,7 @@ class AravisCameraSettings(LiveCameraSettings):
         """Limits of the temperature inside, °C."""
         return self.min_celsius, self.max_celsius
 
-    def camera(self, name: str, shared: SharedParts) -> Camera:
+    def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
         """Return the camera; raises BadInputError if Aravis is missing."""
         try:
             from altd.devices.aravis.driver import AravisCamera
@@ -118,6 +117,6 @@ class AravisCameraSettings(LiveCameraSettings):
             raise BadInputError(f"cameras.{name}", str(error)) from error
         if not self.software_triggered:
             return AravisCamera(name, self)
-        triggers = shared.parts.setdefault(TriggerTimes, TriggerTimes(round(1e9 / self.fps), 0))
+        triggers = shared.setdefault(TriggerTimes, TriggerTimes(round(1e9 / self.fps), 0))
         triggers.lengthen(round(1e6 * self.busy_ms))
         return AravisCamera(name, self, triggers)

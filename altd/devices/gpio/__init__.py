@@ -29,18 +29,12 @@ class GpiodTable(DeviceTable):
 
     about: ClassVar[Driver | None] = Driver(
         "altd.devices.gpio.find_chips",
-        "gpio",
         "GPIO chips: [lamps], [indicators]",
         ("gpio", "/dev/gpiochip*"),
         _library,
     )
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """Label, name or path of the chip, as in `[lamps]`."""
-
-    @property
-    def places(self) -> dict[tuple[str | int, ...], str]:
-        """Names of the lines, by their keys in the table."""
-        raise NotImplementedError
 
 
 class GpiodLampsSettings(GpiodTable):
@@ -53,11 +47,6 @@ class GpiodLampsSettings(GpiodTable):
     """Names or numbers of the lines; all are switched together."""
     active_low: bool = False
     """The LEDs are lit when the line is low."""
-
-    @property
-    def places(self) -> dict[tuple[str | int, ...], str]:
-        """Names of the lines, by their keys."""
-        return {("lines", number): line for number, line in enumerate(self.lines)}
 
     def lamps(self, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps:
         """Return the lamps."""
@@ -77,11 +66,6 @@ class GpiodSwitchesSettings(GpiodTable, Visits):
     """One line per switched target, in their order; active: the glass has voltage and is clear."""
     active_low: bool = False
     """A glass has voltage when its line is low."""
-
-    @property
-    def places(self) -> dict[tuple[str | int, ...], str]:
-        """Names of the lines, by their keys."""
-        return {("lines", number): line for number, line in enumerate(self.lines)}
 
     def switches(self, camera_of: Mapping[str, str], cameras: Mapping[str, Camera], place: Path) -> Switches:
         """Return the switches of these targets."""
@@ -120,13 +104,16 @@ class IndicatorsSettings(GpiodTable):
             raise complaint(((), "no lamp has a line; possible: data, error, power, ok, or no table at all"))
         return self
 
-    @property
-    def places(self) -> dict[tuple[str | int, ...], str]:
-        """Names of the lines, by their keys."""
-        return {(lamp,): line for lamp, line in self.lines.items()}
-
     def indicators(self) -> Indicators:
         """Return the indicators."""
         from altd.devices.gpio.lamps import GpioIndicators
 
         return GpioIndicators(self)
+
+
+def places(table: GpiodTable) -> dict[tuple[str | int, ...], str]:
+    """Return the names of the lines, by their keys in the table."""
+    if isinstance(table, GpiodLampsSettings | GpiodSwitchesSettings):
+        return {("lines", number): line for number, line in enumerate(table.lines)}
+    assert isinstance(table, IndicatorsSettings)  # noqa: S101  there are no others
+    return {(lamp,): line for lamp, line in table.lines.items()}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import gpiod
 
-from altd.devices.gpio import GpiodTable
+from altd.devices.gpio import GpiodTable, places
 from altd.devices.nodes import check_node, existing
 from altd.devices.settings import details
 from altd.ports import LampsError
@@ -163,7 +163,7 @@ def check_lines(tables: Mapping[str, GpiodTable]) -> Iterator[Finding]:
     named = [
         (key if keys[0] == "lines" else f"{key}.{keys[0]}", table.chip, line)
         for key, table in tables.items()
-        for keys, line in table.places.items()
+        for keys, line in places(table).items()
     ]
     first: dict[tuple[Path, int], str] = {}
     for key, wanted, name in named:

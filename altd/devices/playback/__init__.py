@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from altd.devices.settings import CameraSettings, SharedParts
-from altd.ports import Camera
+from altd.devices.settings import CameraSettings
+from altd.ports import Camera, Clock
 
 
 class RecordingCameraSettings(CameraSettings):
@@ -20,12 +20,12 @@ class RecordingCameraSettings(CameraSettings):
     repeat: bool = False
     """Start again at the end."""
 
-    def camera(self, name: str, shared: SharedParts) -> Camera:
+    def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
         """Return a camera of the recording; raises BadInputError that names the recording."""
         from altd.devices.playback.player import Playback, PlaybackCamera
         from altd.recording.reader import open_recording
 
-        if self.path not in shared.parts:
+        if self.path not in shared:
             recording, in_real_time = open_recording(self.path), self.pace == "realtime"
-            shared.parts[self.path] = Playback(recording, shared.clock, in_real_time, self.repeat)
-        return PlaybackCamera(name, shared.parts[self.path])
+            shared[self.path] = Playback(recording, clock, in_real_time, self.repeat)
+        return PlaybackCamera(name, shared[self.path])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from altd.devices.settings import Driver, LiveCameraSettings, SharedParts
+from altd.devices.settings import Driver, LiveCameraSettings
 from altd.files.table import ControlValue, Device
-from altd.ports import Camera
+from altd.ports import Camera, Clock
 
 
 class V4l2CameraSettings(LiveCameraSettings):
@@ -16,7 +16,6 @@ class V4l2CameraSettings(LiveCameraSettings):
 
     about: ClassVar[Driver | None] = Driver(
         "altd.devices.v4l2.find_cameras",
-        "cameras",
         'Cameras: [cameras.NAME], driver = "v4l2"',
         ("camera", "/dev/video*"),
     )
@@ -29,7 +28,7 @@ class V4l2CameraSettings(LiveCameraSettings):
     controls: dict[str, ControlValue] = Field(default={})
     """Controls to set when the camera is opened, by the names in `altd devices`, such as a trigger input."""
 
-    def camera(self, name: str, shared: SharedParts) -> Camera:
+    def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
         """Return the camera."""
         from altd.devices.v4l2.camera import V4l2Camera
 

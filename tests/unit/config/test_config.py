@@ -1,3 +1,5 @@
+import importlib
+import pkgutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
@@ -7,7 +9,9 @@ from pydantic import ValidationError
 from support.places import ROOT
 from support.unit_toml import played_toml
 
+import altd.devices
 from altd.config import Config, Measuring, Table, load_config
+from altd.devices.settings import DeviceTable
 from altd.errors import BadInputError
 
 GOOD = played_toml("cal.json", "rec")
@@ -237,3 +241,16 @@ def test_seconds_are_kept_for_an_ingest_where_a_broker_shall_have_them(
     text = mqtt.replace("[mqtt]", '[mqtt]\nhost = "broker"\ncredentials = "mqtt"')
     (tmp_path / "mqtt").touch(0o600)
     assert load_config(write(tmp_path, f"{GOOD}\n{text}")).has_outbox is keeps
+
+
+def test_every_driver_is_in_the_table_of_drivers() -> None:
+    packages = (f"altd.devices.{module.name}" for module in pkgutil.iter_modules(altd.devices.__path__))
+    found = {
+        value
+        for package in packages
+        for value in vars(importlib.import_module(package)).values()
+        if isinstance(value, type) and issubclass(value, DeviceTable) and "driver" in value.model_fields
+    }
+    used = {part for field in Config.model_fields.values() for part in within(field.annotation)}
+    assert found == used & found
+    assert len(found) >= 10

@@ -155,6 +155,12 @@ def test_a_gpio_chip_that_is_not_there(tree: Tree) -> None:
     assert says(findings, Verdict.ERROR, "no accessible chip has this name; no other exists")
 
 
+def test_the_gpio_chip_of_the_glasses_is_checked_too(tree: Tree) -> None:
+    switches = {"driver": "gpiod", "chip": "glass-board", "lines": ["A", "B"]}
+    finding = says(driver_findings(configured(switches=switches), tree), Verdict.ERROR, "no accessible chip")
+    assert finding.subject == "gpio glass-board"
+
+
 def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, terminal: Path) -> None:
     terminal.chmod(0o600)
     tree.link("/dev/gpiochip0", terminal)

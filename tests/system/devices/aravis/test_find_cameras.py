@@ -44,11 +44,10 @@ sys.modules["gi"] = None
 from altd.devices import aravis
 aravis.DEBIAN_GI = Path("none")
 from altd.devices.aravis import AravisCameraSettings
-from altd.devices.settings import SharedParts
 from altd.errors import BadInputError
 from altd.runtime.clock import SystemClock
 try:
-    AravisCameraSettings(driver="aravis", device="10.0.0.7").camera("front", SharedParts(SystemClock()))
+    AravisCameraSettings(driver="aravis", device="10.0.0.7").camera("front", SystemClock(), {})
 except BadInputError as error:
     print(error)
 """
