@@ -17,9 +17,9 @@ import contextlib
 import json
 from collections.abc import Awaitable, Sequence
 from dataclasses import asdict
+from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
-from uvicorn._types import ASGISendEvent
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 from wsproto.events import Ping
@@ -58,7 +58,7 @@ class BoundedWebSocket(WSProtocol):
         except Exception:
             self.transport.abort()
 
-    async def send(self, message: ASGISendEvent) -> None:
+    async def send(self, message: Any) -> None:
         """Send nothing once an oversized message has closed it: uvicorn treats that as a defect."""
         if self.close_sent:
             raise ClientDisconnected

@@ -58,12 +58,9 @@ def test_a_class_replaces_what_its_library_has_and_shares_no_other_private_name(
 
 
 def test_what_altd_reads_in_other_objects_of_a_library_is_there() -> None:
-    marked = [
-        line
-        for path in (ROOT / "altd").rglob("*.py")
-        for line in path.read_text().splitlines()
-        if "SLF001" in line
-    ]
+    lines = [line for path in (ROOT / "altd").rglob("*.py") for line in path.read_text().splitlines()]
+    assert not [line for line in lines if re.match(r"\s*(?:from|import) (?!altd)\S*\._[a-z]", line)]
+    marked = [line for line in lines if "SLF001" in line]
     read = {re.findall(r"\.(_\w+)", line.partition("#")[0])[-1] for line in marked}
     assert read == {"_connection", "_not_acknowledged_results", "_in_messages", "_ping_t", "_send_pingreq"}
     assert "_connection" in private_names(UaProcessor)
