@@ -21,7 +21,7 @@ for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0", "other-board"):
         {
             "unit": {"serial": "ALT-0007", "calibration": "none"},
             "targets": targets,
-            "lamps": {"driver": "gpiod", "chip": chip, "lines": ["LED1"]},
+            "lamps": {"driver": "gpiod", "chip": chip, "lines": ["0"]},
         }
     )
     found[chip] = [asdict(finding) for finding in check({"lamps": config.lamps}, Machine())]
