@@ -37,8 +37,6 @@ from altd.app.parts import (
     AnyCalibration,
     calibration_of_instrument,
     cameras_of,
-    inclinometer_of,
-    indicators_of,
     lamps_of,
     missing_files,
     switches_of,
@@ -105,9 +103,9 @@ class Daemon:
         self._calibrated = calibration.created.date()
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
-        if (inclinometer := inclinometer_of(config)) is not None:
-            component = self.health.component("inclinometer")
-            self._inclination = InclinationMonitor(*inclinometer, config.installation, component, self.clock)
+        if (of := config.inclinometer) is not None:
+            component, place = self.health.component("inclinometer"), config.installation
+            self._inclination = InclinationMonitor(of.inclinometer(), of, place, component, self.clock)
         self.board = Board(
             self.clock,
             instrument.stale_after_s,
@@ -304,7 +302,8 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
         raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)
     calibration = calibration_of_instrument(config, cameras)
-    lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
+    lamps = lamps_of(config, cameras, place)
+    indicators = None if config.indicators is None else config.indicators.indicators()
     switches, loaded = switches_of(config, cameras, place), config
     if switches is not None:
         config = with_baseline_kept(config, place)

@@ -13,14 +13,14 @@ from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.app.baseline import baseline_file
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
 from altd.calibration.planar_file import check_planar_camera, load_planar_calibration
-from altd.config import Config, InclinometerSettings, LiveCameraSettings
+from altd.config import Config, LiveCameraSettings
 from altd.devices.playback import RecordingCameraSettings
 from altd.devices.playback.player import PlaybackCamera
 from altd.errors import BadInputError
 from altd.files.reading import check_rights
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
-from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, Switches
+from altd.ports import Camera, Lamps, Switches
 from altd.recording.header import LedPlateHeader
 from altd.records import CameraIdentity
 from altd.runtime.clock import SystemClock
@@ -173,20 +173,3 @@ def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> S
     """Return the switches of the glasses; None: there are none. Raises BadInputError that names ``place``."""
     camera_of = {target.name: target.camera for target in config.switched_targets}
     return None if config.switches is None else config.switches.switches(camera_of, cameras, place)
-
-
-def indicators_of(config: Config) -> Indicators | None:
-    """Return the indicator lamps of a config; None: it has none."""
-    return None if config.indicators is None else config.indicators.indicators()
-
-
-def inclinometer_of(config: Config) -> tuple[Inclinometer, InclinometerSettings] | None:
-    """Return the inclinometer of a config with its settings; None: it has none."""
-    return None if config.inclinometer is None else (config.inclinometer.inclinometer(), config.inclinometer)
-
-
-def stage_of(config: Config, place: Path) -> Stage:
-    """Return the stage of a config; raises BadInputError that names ``place``."""
-    if config.stage is None:
-        raise BadInputError(place, "stage: no [stage] table")
-    return config.stage.stage()

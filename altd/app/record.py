@@ -22,7 +22,6 @@ from altd.app.parts import (
     exposure_controls_of,
     lamps_of,
     led_plate_of,
-    stage_of,
     switches_of,
 )
 from altd.app.self_check import fps_of, why_unchecked
@@ -115,7 +114,9 @@ def scanner_of(  # noqa: PLR0913  the parts of a scan
 
     ``cameras``, ``lamps`` and ``switches`` replace those of the config.
     """
-    stage = stage_of(config, place)
+    if config.stage is None:
+        raise BadInputError(place, "stage: no [stage] table")
+    stage = config.stage.stage()
     cameras = cameras_of(config, place) if cameras is None else cameras
     lamps = lamps_of(config, cameras, place) if lamps is None else lamps
     exposure = exposure_controls_of(config)

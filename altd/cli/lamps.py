@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Switch the lamps as requested; return 1 if they are not available."""
     from altd.app.lamps_by_hand import LampsByHand
-    from altd.app.parts import cameras_of, indicators_of, lamps_of
+    from altd.app.parts import cameras_of, lamps_of
     from altd.app.settings import load_beam_settings
     from altd.devices.camera_lamps import CameraLampsSettings
     from altd.ports import Indicator, LampsError
@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
         raise BadInputError(place, "no [lamps] and no [indicators] table")
     cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLampsSettings) else {}
     fitted = [Indicator(key) for key in config.indicators.lines] if config.indicators is not None else []
-    lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
+    lamps = lamps_of(config, cameras, place, alone=True)
+    indicators = None if config.indicators is None else config.indicators.indicators()
     by_hand = LampsByHand(lamps, indicators, fitted, print_lines)
     failed = os.environ.get("SERVICE_RESULT", "success") != "success"
     actions: dict[str, Callable[[], None]] = {

@@ -1,12 +1,15 @@
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock, call
 
 import pytest
 
-from altd.app.parts import exposure_controls_of, lamps_of
+from altd.app.parts import cameras_of, exposure_controls_of, lamps_of
 from altd.app.reloading import RELOADED, changed_keys
 from altd.config import Config
+from altd.devices.trigger_times import TriggerTimes
 from altd.errors import BadInputError
 from altd.ports import Camera, SwitchingCamera
 
@@ -28,6 +31,28 @@ def test_a_recording_or_scan_sets_the_live_cameras_that_are_not_left_to_themselv
     )
     controls = exposure_controls_of(config)
     assert {name: each.setpoint.exposure_ms for name, each in controls.items()} == {"auto": 3.0, "fixed": 3.0}
+
+
+def test_cameras_that_altd_triggers_share_instants_that_the_slower_one_can_take(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    driver = SimpleNamespace(AravisCamera=Mock())
+    monkeypatch.setitem(sys.modules, "altd.devices.aravis.driver", driver)
+    live = {"driver": "aravis", "trigger": "software"}
+    cameras = {n: live | {"device": n, "exposure": {"longest_ms": ms}} for n, ms in (("a", 40.0), ("b", 5.0))}
+    config = Config.model_validate(
+        {
+            "unit": {"serial": "A", "calibration": "calibration.json"},
+            "targets": [{"name": n, "z_mm": z, "camera": n} for n, z in (("a", 0.0), ("b", 280.0))],
+            "cameras": cameras,
+        }
+    )
+    cameras_of(config, Path("altd.toml"))
+    first, second = (made.args[2] for made in driver.AravisCamera.call_args_list)
+    assert first is second
+    wanted = TriggerTimes(50_000_000, round(1e6 * config.cameras["a"].busy_ms))
+    instants_ns = range(0, 10**10, 7_000_000)
+    assert [first.after(t_ns) for t_ns in instants_ns] == [wanted.after(t_ns) for t_ns in instants_ns]
 
 
 class TestLampsOfCameras:
