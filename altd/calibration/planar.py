@@ -14,7 +14,6 @@ import numpy as np
 from altd.calibration.calibrating import sha256_of_all
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
-from altd.instruments.planar.cross_validation import leave_one_out
 from altd.instruments.planar.fitting import (
     MIN_POSES_FOR_SPREAD,
     PlaneFit,
@@ -36,7 +35,7 @@ from altd.instruments.planar.layout import (
 )
 from altd.instruments.planar.leds import find_leds, led_image, rim_points_px
 from altd.instruments.planar.plane import MODELS, Model, homography_camera
-from altd.instruments.planar.pose import solve_pose
+from altd.instruments.planar.pose import leave_one_out, solve_pose
 from altd.mapping.grid import convex_hull_mm
 from altd.recording.header import HEADER_FILE, LedPlateHeader
 from altd.recording.reader import Recording

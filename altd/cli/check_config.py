@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
 def _powers_suffice(config: Config) -> bool:
     """Print the power on each target of a row; return whether it suffices for all."""
     from altd.config import RowSettings
-    from altd.instruments.row.budget import powers_mw
+    from altd.instruments.row.beam import powers_mw
 
     settings = config.chain or RowSettings()
     powers = powers_mw(settings, len(config.targets))

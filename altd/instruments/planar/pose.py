@@ -1,15 +1,17 @@
-"""Pose of the plate from the centres of its LEDs (Eq. 2.59), with its covariance."""
+"""Pose of the plate from the centres of its LEDs (Eq. 2.59), its covariance, and errors at known poses."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from altd.instruments.planar.fitting import PlaneFit
+from altd.instruments.planar.fitting import PlaneFit, PlateView, fit_plane, radius_mm
 from altd.instruments.planar.layout import Pose, placed_mm, rigid_pose, rotation, wrapped_deg
+from altd.instruments.planar.plane import Model
 from altd.mapping.camera_model import light_centre_shift_px
 from altd.records import FloatArray
 
@@ -85,3 +87,22 @@ def solve_pose(
         gain @ scatter_px2 @ gain.T * birge2,
         (math.cbrt(chi2 / degrees) - 1.0 + spread) / math.sqrt(spread),
     )
+
+
+def leave_one_out(
+    model: Model, leds_mm: FloatArray, views: Sequence[PlateView], disc_mm: float, size: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Measured minus known of each pose by a camera fitted to all others, and its sigma, (n, 3) mm.
+
+    The columns are a, b, and φ at the layout's radius. Sigma includes that of the known pose.
+    """
+    radius, off, sigma = radius_mm(leds_mm), [], []
+    for number, seen in enumerate(views):
+        others = [other for at, other in enumerate(views) if at != number]
+        fit = fit_plane(model, leds_mm, others, disc_mm, size)
+        solved = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, np.zeros(len(seen.leds)))
+        a, b, phi = np.array(solved.pose) - seen.pose
+        per_unit = np.array([1.0, 1.0, math.radians(1.0) * radius])
+        off.append(np.array([a, b, wrapped_deg(float(phi))]) * per_unit)
+        sigma.append(np.sqrt(np.diag(solved.covariance) * per_unit**2 + np.square(fit.sigma_pose_mm)))
+    return np.array(off), np.array(sigma)

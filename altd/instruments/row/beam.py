@@ -1,4 +1,4 @@
-"""Movement of the beam: interpolation of the stable targets in time, and a line along the row."""
+"""The beam: its power on each target, and its movement by the stable targets, in time and along the row."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from altd.config import RowSettings
 from altd.instruments.row.places import BeamPlace
 from altd.records import FloatArray
 
@@ -16,6 +17,11 @@ _MIN_JUMP_SIGMAS = 3.0
 """Minimum deviation from smooth movement that counts as a jump; less is the scatter of the visits."""
 _JUMP_VARIANCE = 1.3
 """Variance of a parabola through three visits, per f (1 − f) of the square of a jump between two of them."""
+
+
+def powers_mw(settings: RowSettings, targets: int) -> tuple[float, ...]:
+    """Power on each target in beam order, with all glasses before it clear: P τⁿ."""
+    return tuple(settings.laser_mw * settings.transmission**before for before in range(targets))
 
 
 def at_instant(places: Sequence[BeamPlace], t_ns: int) -> BeamPlace | None:

@@ -7,8 +7,7 @@ import pytest
 from support.evidence import calibration, target
 
 from altd.config import RowSettings
-from altd.instruments.row.beam import at_instant, gain_at, moved_stable
-from altd.instruments.row.budget import powers_mw
+from altd.instruments.row.beam import at_instant, gain_at, moved_stable, powers_mw
 from altd.instruments.row.displacement import Baseline, Displacement
 from altd.instruments.row.places import BeamPlace
 from altd.instruments.row.rate import DAY_NS, DailyTrend, alarms
