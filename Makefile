@@ -107,6 +107,7 @@ studies-check: venv ## the same, compared with docs/studies to the last digit; T
 site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
 	@mkdir -p build # --quiet would not count the warnings that a strict build fails for
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build 2>build/site.log || { grep -v ^INFO build/site.log >&2; exit 1; }
+	echo "the documentation: file://$(CURDIR)/build/site/index.html"
 
 ## Measure
 

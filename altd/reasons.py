@@ -138,7 +138,7 @@ class Reason(StrEnum):
     EXPOSURE_CHANGING = (
         "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD, _CHECK_FUNCTION,
         "the exposure is being set",
-        "wait a second; if it stays, look for light that flickers",
+        "wait a second; if this continues, look for light that flickers",
         "the camera's exposure is being changed; lasts less than a second",
     )  # fmt: skip
     FRAME_REPEATED = (
@@ -149,7 +149,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     WRONG_CAMERA = (
         "wrong_camera", _TARGET, 12, StatusGroup.NOT_TRUSTED, _FAILURE,
-        "not the calibrated camera",
+        "another camera than the calibrated one",
         "check the cameras' cables and the calibration file",
         "the camera, or its view, is not the calibrated one",
     )  # fmt: skip
@@ -187,7 +187,7 @@ class Reason(StrEnum):
 
     OUT_OF_STEP = (
         "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP, _FAILURE,
-        "the cameras are out of step",
+        "the cameras are not synchronised",
         "check the trigger of the cameras",
         "the cameras' frames are not of the same instants, by their times or the spots' motion",
     )  # fmt: skip
@@ -212,8 +212,8 @@ class Reason(StrEnum):
     )  # fmt: skip
     STALE = (
         "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,
-        "no new measurement",
-        "look in `status` for the component that has stopped",
+        "measurements have stopped",
+        "restart the unit; if this continues, run `altd doctor`",
         "no new exposure, or no measurement, for longer than `stale_after_s`",
     )  # fmt: skip
     CHECK_FAILED = (
@@ -250,7 +250,7 @@ class Reason(StrEnum):
     GEOMETRY_UNVERIFIED = (
         "geometry_unverified", _UNIT, 27, StatusGroup.NOT_TRUSTED, _FAILURE,
         "the self-check could not determine whether cameras and targets are in place",
-        "`status` names the missing data: check the frame LEDs and their wiring",
+        "check the frame LEDs and their wiring, clean the windows, move the beam",
         "as `geometry_unknown`, while `when_unknown` is `invalid`",
     )  # fmt: skip
     SELF_CHECKING = (
@@ -270,7 +270,7 @@ class Reason(StrEnum):
     EXPOSURES_LOST = (
         "exposures_lost", _WARNING, 0, StatusGroup.EXPOSURES_LOST, _MAINTENANCE_REQUIRED,
         "exposures were lost",
-        "if it stays, check the cameras' cables",
+        "if this continues, check the cameras' cables",
         "some exposures of the window were not usable",
     )  # fmt: skip
     PLAYBACK = (
@@ -287,7 +287,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     REHEARSAL = (
         "rehearsal", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
-        "started to rehearse",
+        "rehearsal mode is on",
         _NOT_LIVE,
         "the daemon runs with `--rehearsal`: played and simulated frames give valid values",
     )  # fmt: skip
@@ -300,7 +300,7 @@ class Reason(StrEnum):
     PITCH_DIVERGES = (
         "pitch_diverges", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "the beam's pitch drifts against gravity's",
-        "has the laser moved? look for warm air in the beam",
+        "check whether the laser has moved or warm air crosses the beam",
         "optical pitch and the inclinometer's diverge slowly by more than `max_divergence_deg`: refraction, "
         "or the laser or the inclinometer has moved",
     )  # fmt: skip
@@ -337,7 +337,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     NO_BASELINE = (
         "no_baseline", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
-        "the target is not in the baseline",
+        "the baseline lacks the target",
         "make a new baseline while all targets see the spot",
         "the target was measured in less than half of the baseline's rounds: it has no displacement",
     )  # fmt: skip
@@ -355,7 +355,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     BEAM_DRIFT_UNKNOWN = (
         "beam_drift_unknown", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
-        "no stable target shows the beam's drift",
+        "the beam's drift is unknown",
         "name two stable targets, or bring them back",
         "neither offset nor angle of the beam is known; sigma includes the movement common to all targets",
     )  # fmt: skip
@@ -388,7 +388,7 @@ class Reason(StrEnum):
     GEOMETRY_UNKNOWN = (
         "geometry_unknown", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
         "the self-check could not determine whether cameras and targets are in place",
-        "`status` names the missing data: check the frame LEDs and their wiring",
+        "check the frame LEDs and their wiring, clean the windows, move the beam",
         "the last self-check has no verdict on the unit or a part of it, or the one after a shock has not "
         "ended",
     )  # fmt: skip

@@ -5,8 +5,8 @@ If a page links to a file of the repository outside ``docs/``, the file is copie
 build reports it.
 
 Browsers refuse workers on pages opened from disk, and the theme's search is a worker. The theme loads a
-replacement from the network; the replacement below needs no network. In search results, the start page ranks
-above the other pages, and decisions and studies below them.
+replacement from the network; the replacement below needs no network. In search results, the reasons and the
+start page rank above the other pages, and decisions, studies and licences below them.
 """
 
 from __future__ import annotations
@@ -60,10 +60,12 @@ _LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]*)")
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Return the page with links outside ``docs/`` changed to the copies, and set its rank in the search."""
-    if page.file.src_uri.startswith(("decisions/", "studies/")):
+    if page.file.src_uri.startswith(("decisions/", "studies/", "licences.md")):
         page.meta["search"] = {"boost": 0.2}
     elif page.is_homepage:  # it answers common questions
         page.meta["search"] = {"boost": 3}
+    elif page.file.src_uri == "reasons.md":  # the words of the screens
+        page.meta["search"] = {"boost": 10}
 
     def copied(match: re.Match[str]) -> str:
         path = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page.file.src_uri), match[0]))

@@ -37,7 +37,7 @@ class FaultCause(Enum):
     )
     UNCERTAIN_PLACE = (
         "the spot's place is uncertain",
-        "clean the window; if it stays, the camera has moved: calibrate again",
+        "clean the window; if this continues, the camera has moved: calibrate again",
     )
     VIEW_MOVED = "the camera's view has moved", "fasten the camera and calibrate again"
     OTHER_CAMERA = (

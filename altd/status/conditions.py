@@ -11,7 +11,7 @@ from enum import StrEnum
 from altd.reasons import Signal
 
 _, _FAILURE, _CHECK_FUNCTION, _OUT_OF_SPECIFICATION, _MAINTENANCE_REQUIRED = Signal
-_SEE_STATUS = "see `status`"
+_RESTART = "restart the unit; if this continues, send the archive of `altd diagnose` to support"
 
 
 class Condition(StrEnum):
@@ -26,7 +26,7 @@ class Condition(StrEnum):
     NOTHING_MEASURED = (
         "nothing_measured", _FAILURE,
         "nothing was measured since the start",
-        "look in `status` for the component that does not come up",
+        "check the cameras' cables and supply; if this continues, run `altd doctor`",
         "no measurement, not even an invalid one, 2 s after the start",
     )  # fmt: skip
     UNKNOWN_REASON = (
@@ -43,7 +43,7 @@ class Condition(StrEnum):
     )  # fmt: skip
     CAMERA_DEGRADED = (
         "camera_degraded", _MAINTENANCE_REQUIRED,
-        "a camera does not deliver as it should",
+        "the camera loses frames",
         "check the camera's cable, and its table in the config",
         "frames are lost, late or have impossible times, or the camera refuses its exposure",
     )  # fmt: skip
@@ -80,14 +80,14 @@ class Condition(StrEnum):
     COMPONENT_FAILED = (
         "component_failed", _FAILURE,
         "a component has failed",
-        _SEE_STATUS,
+        _RESTART,
         "another component has failed or ended",
     )  # fmt: skip
     COMPONENT_DEGRADED = (
         "component_degraded", _MAINTENANCE_REQUIRED,
-        "a component does not do as it should",
-        _SEE_STATUS,
-        "a component other than a camera works in part only",
+        "a component works in part only",
+        _RESTART,
+        "a component other than a camera is degraded; its message is in brackets",
     )  # fmt: skip
     COMPONENT_SILENT = (
         "component_silent", _FAILURE,
@@ -98,7 +98,7 @@ class Condition(StrEnum):
     NOT_STARTED = (
         "not_started", _MAINTENANCE_REQUIRED,
         "a component does not come up",
-        _SEE_STATUS,
+        _RESTART,
         "a component is still starting after 15 s",
     )  # fmt: skip
     TOO_COLD = (
