@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import re
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from support.led_unit import LedUnit
 from support.page import POSE, SIZES, Seen, browser, seen, watched_unit
 
 from altd.measuring.calibration import Calibration
+from altd.ports import CameraLostError
 from altd.records import Frame
 from altd.status.models import status_of
 from hw_sim.beam import BeamPose
@@ -46,6 +48,10 @@ async def watched(
 
 def dark(frame: Frame) -> Frame:
     return replace(frame, pixels=np.minimum(frame.pixels, 12))
+
+
+def dead(frame: Frame) -> Frame:
+    raise CameraLostError("the cable was pulled")
 
 
 async def until(holds: Callable[[], Awaitable[bool]], timeout_s: float = 20.0) -> None:
@@ -204,25 +210,30 @@ async def test_pictures_are_seen_along_the_beam(started: Browser, calibration_of
         await placed(running, shown, POSE)
 
 
-async def test_simulated_frames_are_named_once_and_hide_no_fault(
-    started: Browser, calibration_of_unit_3: Calibration
-) -> None:
-    """A status with the causes of simulated frames, and others of these signals."""
-    others: list[str] = []
+async def says(running: LedUnit, shown: Seen, others: list[str]) -> None:
+    """Give the page a status with the causes of simulated frames, and others of these signals."""
 
-    async def simulated(route: Route) -> None:
+    async def answer(route: Route) -> None:
         signals = [("simulated", "check_function"), ("rehearsal", "check_function"), ("over", "failure")]
         causes = [
-            {"code": code, "signal": signal, "of": None, "active": code != "over", "for_s": 9.0, "times": 1}
-            | {"brief": f"brief of {code}", "remedy": "do", "detail": ""}
+            {"code": code, "signal": signal, "of": None, "active": code != "over", "times": 1}
+            | {"for_s": round(time.monotonic(), 1), "remedy": "do", "detail": "", "brief": f"brief of {code}"}
             for code, signal in [*signals, *((each, each) for each in others)]
         ]
         signal = "failure" if "failure" in others else "check_function"
         state = {"signal": signal, "for_s": 9.0, "causes": causes}
         await route.fulfill(json={**status_of(running.daemon.unit.view()).as_object(), "state": state})
 
+    await shown.page.route("**/api/v1/status", answer)
+
+
+async def test_simulated_frames_are_named_once_and_hide_no_fault(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
+    others: list[str] = []
+
     async with watched(started, calibration_of_unit_3) as (running, shown):
-        await shown.page.route("**/api/v1/status", simulated)
+        await says(running, shown, others)
         listed = shown.page.locator(".causes li")
 
         async def listed_are(*codes: str) -> None:
@@ -239,8 +250,81 @@ async def test_simulated_frames_are_named_once_and_hide_no_fault(
         ):
             others[:] = found
             await shown.open()
-            await listed_are("simulated", *others, "over")
+            await listed_are(*others, "simulated", "over")
             badges = await shown.page.locator("header .badge").all_inner_texts()
             assert [text.split(" ", 1)[1] for text in badges] == ([badge] if badge else [])
             await shown.open("drive")
             await listed_are(others[0] if others else "simulated")
+
+
+PLACES = """[...document.querySelectorAll("header, nav, #cause, .numbers, .eyes, .pictures")].flatMap(
+    part => { const { top, height } = part.getBoundingClientRect();
+    return part.matches("header") ? [top, height] : [top]; })"""
+BEYOND = """selectors => selectors.filter(selector => {
+    const box = document.querySelector(selector).getBoundingClientRect();
+    return box.bottom > innerHeight || box.right > innerWidth || !box.height;
+})"""
+SAID = """() => {
+    const said = globalThis.said = [];
+    const parts = document.querySelectorAll("[aria-live], [role=status], [role=alert]");
+    const watcher = new MutationObserver(changes => said.push(changes[0].target.textContent));
+    parts.forEach(part => watcher.observe(part, { subtree: true, childList: true, characterData: true }));
+}"""
+SMALL = """[...document.querySelectorAll("a, button, select, input, summary")].filter(
+    each => each.checkVisibility() && each.getBoundingClientRect().height < 44).map(each => each.outerHTML)"""
+STATES: dict[str, tuple[list[str], Callable[[LedUnit, Seen], None]]] = {
+    "brief of simulated": ([], lambda running, shown: None),
+    "brief of out_of_specification": (
+        ["out_of_specification"] * 2,
+        lambda running, shown: setattr(running.seen, "alter", dark),
+    ),
+    "brief of failure": (["failure"] * 5, lambda running, shown: setattr(running.seen, "alter", dead)),
+    "Last known state": ([], lambda running, shown: shown.cable.cut()),
+}
+
+
+async def test_the_worst_cause_comes_first_and_nothing_moves_with_it(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
+    others: list[str] = []
+    places: dict[tuple[int, str], list[float]] = {}
+    async with watched(started, calibration_of_unit_3) as (running, shown):
+        await says(running, shown, others)
+        await shown.until_pictures()
+        for text, (others[:], change) in STATES.items():
+            change(running, shown)
+            if text.startswith("Last"):
+                await shown.page.unroute_all()
+            await shown.page.locator("#cause").get_by_text(text).wait_for()
+            for width, height in ((390, 844), (1024, 600), (1366, 768), (1920, 1080)):
+                await shown.page.set_viewport_size({"width": width, "height": height})
+                for view in ("", "drive"):
+                    await shown.page.evaluate("view => { location.hash = view; scrollTo(0, 0); }", view)
+                    await shown.page.locator(f"main.{view or 'overview'} .eyes").wait_for()
+                    found = await shown.page.evaluate(PLACES)
+                    assert found == pytest.approx(places.setdefault((width, view), found), abs=8), (
+                        text,
+                        width,
+                        view,
+                    )
+                    if others:
+                        parts = "#verdict", "#cause", ".causes li strong", ".causes li .remedy"
+                        assert not await shown.page.evaluate(BEYOND, parts), (text, width, view)
+
+
+async def test_everything_can_be_touched_and_only_the_worst_cause_is_spoken(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
+    others = ["failure"]
+    async with watched(started, calibration_of_unit_3, SIZES["phone"]) as (running, shown):
+        await says(running, shown, others)
+        await shown.page.locator("#cause").get_by_text("brief of failure").wait_for()
+        await shown.page.evaluate(SAID)
+        for view in ("drive", "trends", "events", "unit", ""):
+            await shown.page.evaluate("view => { location.hash = view; }", view)
+            await asyncio.sleep(1.0)
+            assert await shown.page.evaluate(SMALL) == [], view
+        assert await shown.page.evaluate("said") == []
+        others[:] = []
+        await shown.page.locator("#cause").get_by_text("brief of simulated").wait_for()
+        assert len(await shown.page.evaluate("said")) <= 2

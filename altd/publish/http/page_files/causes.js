@@ -1,9 +1,25 @@
 // The unit's state, its causes, and their remedies.
 
 import { html } from "./vendor/htm-preact.js";
-import { ORIGINS, SIGNALS, counted, duration, words } from "./words.js";
+import { REMEDIES } from "./link.js";
+import { ORIGINS, SIGNALS, counted, duration, utc, words } from "./words.js";
 
 const isOrigin = cause => ORIGINS.includes(cause.code);
+const named = cause => html`${cause.brief}${cause.of ? html` <em>(${cause.of})</em>` : ""}`;
+
+// Active causes, the worst first; those of simulated frames last, which the verdict names already.
+const activeIn = status => (status?.state?.causes ?? []).filter(cause => cause.active && cause.code !== "rehearsal")
+  .sort((one, other) => isOrigin(one) - isOrigin(other));
+
+// The worst cause and its remedy in one line. No duration is in it, so that a screen reader repeats it only if it changes.
+export function Worst({ words: lost, measurement, status, last }) {
+  const remedy = REMEDIES[lost], [worst] = activeIn(remedy ? last?.status : status);
+  if (remedy && last) return html`${remedy} Last known state, ${utc(new Date(last.at).toISOString()).slice(0, 16)} UTC: ${
+    words(last.status.state?.signal ?? "not known")}${worst && html`, ${named(worst)}`}`;
+  if (remedy) return remedy;
+  if (worst) return html`<strong>${named(worst)}</strong>: ${worst.remedy}`;
+  return measurement && !measurement.valid ? measurement.status.map(words).join(", ") : status?.state ? "no fault" : "state not known";
+}
 
 // The worst signal; without that of simulated frames, which the verdict names already.
 export function Badge({ status }) {
@@ -12,26 +28,27 @@ export function Badge({ status }) {
   if (hasOrigin && others.length === 0) return null;
   const signal = hasOrigin ? Object.keys(SIGNALS).findLast(each => others.some(cause => cause.signal === each)) : status?.state?.signal;
   const known = SIGNALS[signal];
-  if (!known) return html`<span class="badge unknown">state not known</span>`;
+  if (!known) return null;
   return html`<span class=${`badge ${signal}`}><span aria-hidden="true">${known.mark}</span> ${known.words}</span>`;
 }
 
 // isFar: read from two metres, where one active cause has room: the worst, which is the first.
 export function Causes({ status, isFar }) {
-  const known = (status?.state?.causes ?? []).filter(cause => cause.code !== "rehearsal").sort((one, other) => other.active - one.active);
-  const all = !isFar ? known : known.filter(cause => cause.active).sort((one, other) => isOrigin(one) - isOrigin(other));
+  const known = (status?.state?.causes ?? []).filter(cause => cause.code !== "rehearsal")
+    .sort((one, other) => other.active - one.active || isOrigin(one) - isOrigin(other));
+  const all = isFar ? activeIn(status) : known;
   const causes = isFar ? all.slice(0, 1) : all;
   const badge = Badge({ status }), more = all.length - causes.length;
-  return html`<section class="causes" aria-labelledby="causes-title">
+  return html`<section class="causes" aria-labelledby="causes-title" tabindex="0">
     <h2 id="causes-title">State</h2>
     ${!status?.state && html`<p>not known</p>`}
     ${status?.state && (badge || more > 0) && html`<p class="state">${badge} ${badge && !known.some(isOrigin) && `for ${duration(status.state.for_s)}`}
       ${more > 0 && html` <a href="#">${counted(more, "more cause")}</a>`}</p>`}
-    <ul aria-live="polite">
+    <ul>
       ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.active ? cause.signal : "ended"} data-code=${cause.code}>
-        <strong><span aria-hidden="true">${SIGNALS[cause.signal]?.mark}</span> ${cause.brief}${cause.of ? html` <em>(${cause.of})</em>` : ""}</strong>
+        <strong><span aria-hidden="true">${SIGNALS[cause.signal]?.mark}</span> ${named(cause)}</strong>
         <span class="remedy">${cause.remedy}</span>
-        <small>${cause.detail ? `${cause.detail}; ` : ""}${words(cause.code)}, ${cause.active ? "for" : "ended; began"} ${duration(cause.for_s)}${cause.active ? "" : " ago"}${
+        <small>${cause.detail ? `${cause.detail}; ` : ""}<code>${cause.code}</code>, ${cause.active ? "for" : "ended; began"} ${duration(cause.for_s)}${cause.active ? "" : " ago"}${
           cause.times > 1 ? `, ${cause.times} times` : ""}</small>
       </li>`)}
     </ul>

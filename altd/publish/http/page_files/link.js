@@ -2,24 +2,32 @@
 //
 // A stream brings measurements. The status is requested twice a second and when a reason begins or ends; so is the
 // measurement, when the stream is silent. Unconfirmed data is removed within two seconds. A message that was delayed,
-// by a computer that slept, a slow line or a proxy, is as old as its `clock_ms`, and is not news.
+// by a computer that slept, a slow line or a proxy, is as old as its `clock_ms`, and is not news. An answer that takes longer
+// than ANSWER_MS is late: it shows only that the line is slow, and what the state was.
 
-export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400;
+export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400, GIVE_UP_MS = 8000;
 const MEASUREMENT = "api/v1/measurement", STATUS = "api/v1/status", STREAM = "api/v1/stream";
 
 // Of two numbers of messages, which start again after 32 bits.
 const isLater = (message, last) => ((message - last) | 0) > 0;
 
-// `show` is called with {words, measurement, status}; words are empty while the unit answers.
+const SLOW = "link too slow", SILENT = "no data from the unit", NONE = "no connection to the unit";
+const CHECK = "Check the network, and the unit's power supply.";
+export const REMEDIES = { [SLOW]: "Values would be too old. Use a faster connection.", [SILENT]: CHECK, [NONE]: CHECK };
+export const NOTHING = { words: "connecting…", measurement: null, status: null, last: null };
+
+// `show` is called with {words, measurement, status, last}; words are empty while the unit answers. `last`: the last status
+// that came, {status, at}, with the time of the request.
 export class Link {
   constructor(show, world = globalThis) {
     this.show = show;
     this.world = world;
-    this.known = { words: "connecting…", measurement: null, status: null };
+    this.known = NOTHING;
     this.open = false;
     this.heard = 0;  // when what is shown was sent
     this.sent = null;  // the clock of this session: at `at` here it was `clock_ms` there, or later
     this.looking = false;
+    this.askedAt = null;  // of the request that is under way
   }
 
   start() {
@@ -78,9 +86,16 @@ export class Link {
   silentMs() { return Math.abs(this.world.Date.now() - this.heard); }
 
   forget() {
-    if (this.heard && this.silentMs() > OLD_MS) {
-      this.tell({ words: "no news from the unit", measurement: null, status: null });
-    }
+    const isLate = this.askedAt !== null && Math.abs(this.world.Date.now() - this.askedAt) > ANSWER_MS;
+    if (isLate) this.lose(Object.hasOwn(REMEDIES, this.known.words) ? this.known.words : SILENT);
+    else if (this.heard && this.silentMs() > OLD_MS) this.tell({ words: SILENT, measurement: null, status: null });
+  }
+
+  lose(words) {
+    this.tell({ words, measurement: null, status: null });
+    this.stream.close();
+    this.open = false;
+    this.heard = 0;
   }
 
   async look() {
@@ -91,13 +106,11 @@ export class Link {
       this.tell({ status: await this.answered(STATUS) });
       if (this.silentMs() > QUIET_MS) await this.ask();
       if (this.stream.readyState === 2) this.connect();  // closed permanently: there are too many, or it was refused
-    } catch {
-      this.tell({ words: "no connection to the unit", measurement: null, status: null });
-      this.stream.close();
-      this.open = false;
-      this.heard = 0;
+    } catch (error) {
+      this.lose(error === SLOW ? SLOW : NONE);
     }
     this.looking = false;
+    this.askedAt = null;
   }
 
   async ask() {
@@ -119,8 +132,11 @@ export class Link {
   // null if it is refused, as after too many requests: that gives no information; before the first measurement there
   // are reasons in `status`.
   async answered(path) {
-    const signal = this.world.AbortSignal.timeout(ANSWER_MS);
+    const at = this.askedAt = this.world.Date.now(), signal = this.world.AbortSignal.timeout(GIVE_UP_MS);
     const answer = await (await this.world.fetch(path, { cache: "no-store", signal })).json();
+    if (path === STATUS && !answer.error) this.known = { ...this.known, last: { status: answer, at } };
+    if (this.world.Date.now() - at > ANSWER_MS) throw SLOW;
+    this.askedAt = null;
     return answer.error && !answer.status ? null : answer;
   }
 }

@@ -2,13 +2,13 @@
 
 import { html, render, useEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked, useAnswer } from "./acting.js";
-import { Availability, Badge, Causes } from "./causes.js";
+import { Availability, Badge, Causes, Worst } from "./causes.js";
 import { Calibration } from "./calibration.js";
 import { PastChecks, SelfCheck } from "./checks.js";
 import { Eyes } from "./eye.js";
 import { guard } from "./failing.js";
 import { useKept } from "./keeping.js";
-import { Link } from "./link.js";
+import { Link, NOTHING } from "./link.js";
 import { Memory } from "./memory.js";
 import { Parts, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
@@ -63,29 +63,29 @@ function UnitView({ status, session, mayLook, onSession }) {
 }
 
 function Page() {
-  const [known, setKnown] = useState({ words: "connecting…", measurement: null, status: null });
+  const [known, setKnown] = useState(NOTHING);
   const view = useView(), [session, onSession] = useSession(known.status !== null);
   useEffect(() => {
     const link = new Link(now => { memory.add(now.measurement, now.status?.serial); setKnown(now); });
     link.start();
   }, []);
   const { measurement, status } = known, verdict = verdictOf(known), unit = useRef("");
-  unit.current = status?.serial ?? unit.current;  // data of one unit is not kept for another at its address
+  unit.current = (status ?? known.last?.status)?.serial ?? unit.current;  // data of one unit is not kept for another at its address
   const mayLook = session && (!session.login || session.name !== null);  // null: not known
   useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
   return html`
     <header>
-      <h1>Active Laser Target <span id="serial">${status?.serial ?? ""}</span></h1>
-      <div id="verdict" class=${verdict.kind} role="status">${verdict.text}</div>
-      <${Badge} status=${status} />
+      <h1>Active Laser Target <span id="serial">${unit.current}</span></h1>
+      <div class="now"><div id="verdict" class=${verdict.kind}>${verdict.text}</div><${Badge} status=${status} />
+        <p id="cause" role="status"><span><${Worst} ...${known} /></span></p></div>
       <nav aria-label="views">${Object.entries(VIEWS).map(([name, title]) => html`<a key=${name} href=${`#${name}`}
         aria-current=${view === name ? "page" : undefined}>${title}</a>`)}</nav>
     </header>
     <main class=${view || "overview"}>
-      ${view === "" && html`<${Numbers} measurement=${measurement} /><${Causes} status=${status} />
+      ${view === "" && html`<${Causes} status=${status} /><${Numbers} measurement=${measurement} />
         ${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Pictures} mayLook=${mayLook} onSession=${onSession} />`}
-      ${view === "drive" && html`<${Numbers} measurement=${measurement} isFar />${hasEyes && html`<${Eyes} measurement=${measurement} isFar />`}
-        <${Causes} status=${status} isFar />`}
+      ${view === "drive" && html`<${Causes} status=${status} isFar /><${Numbers} measurement=${measurement} isFar />
+        ${hasEyes && html`<${Eyes} measurement=${measurement} isFar />`}`}
       ${view === "trends" && html`<${Trends} unit=${unit.current} /><${Availability} status=${status} />`}
       ${view === "events" && html`<${EventsView} key=${unit.current} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
       ${view === "unit" && html`<${UnitView} status=${status} session=${session} mayLook=${mayLook} onSession=${onSession} />`}

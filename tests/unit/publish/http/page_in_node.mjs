@@ -48,6 +48,6 @@ for await (const line of createInterface({ input: process.stdin })) {
     x_mm: fixed(known.measurement?.x_mm, X.decimals), sigma_x_mm: sigmaOf(known.measurement, X),
     sigma_of_a_place: sigmaOf(known.measurement, PLACE),
     sigma_pitch_mm_per_m: sigmaOf(known.measurement, SLOPE),
-    knows_status: known.status !== null, components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened,
+    knows_status: known.status !== null, components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened, last: known.last,
   }));
 }

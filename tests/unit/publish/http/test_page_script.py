@@ -1,19 +1,15 @@
-"""The page's links to the unit, run by Node.js: they know nothing that was not said within the last seconds.
+"""The page's link to the unit, run by Node.js: it knows nothing that was not said within the last seconds.
 
 The network and the clock are the test's; a browser shows the page in tests/system/publish/http.
 """
 
-import contextlib
-import json
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.foreign import need_program
+from support.page_in_node import Driven
 
-from altd.publish.http.answers import page_files
 from altd.status.measurement_json import as_object_now
 from tools.pages.example import AGE_S, MEASURED
 
@@ -47,19 +43,8 @@ def named(mean: str, now: str, end: str = "") -> str:
     return f"±\u00a0{mean} (mean), ±\u00a0{now} now{end}"
 
 
-class Page:
-    """The page in a process of its own; each order gives back what it then shows."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-
-    def do(self, **order: Any) -> dict[str, Any]:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
-        shown: dict[str, Any] = json.loads(self._process.stdout.readline())
-        return shown
+class Page(Driven):
+    """The page's link."""
 
     def measuring(self) -> dict[str, Any]:
         """Ask once, and open the stream, with one measurement and a look at the components."""
@@ -68,27 +53,10 @@ class Page:
         return self.do(tick=True)
 
 
-@contextlib.contextmanager
-def driven(driver: str, folder: Path, *names: str) -> Iterator[Page]:
-    """Some of the page's scripts, by a driver of this folder."""
-    for name in names:
-        (folder / f"{name}.mjs").write_bytes(page_files()[f"{name}.js"].content)
-    command = [need_program("node", "nodejs"), str(HERE / driver), str(folder)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield Page(process)
-        process.kill()
-
-
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    with driven("page_in_node.mjs", tmp_path, "link", "words") as page:
+    with Page.driven(HERE / "page_in_node.mjs", tmp_path, "link", "words") as page:
         yield page
-
-
-@pytest.fixture
-def pictures(tmp_path: Path) -> Iterator[Page]:
-    with driven("watcher_in_node.mjs", tmp_path, "watcher") as pictures:
-        yield pictures
 
 
 def test_it_shows_what_the_unit_says(page: Page) -> None:
@@ -155,7 +123,7 @@ def test_values_that_are_not_from_cameras_are_named_for_their_origin(
         ),
         (
             [{"answers": {STATUS_PATH: "silent"}, "pass_ms": 3_600_000, "tick": True}],
-            "no news from the unit",
+            "no data from the unit",
         ),
     ],
     ids=["refused", "a cable that was cut: nothing fails, nothing comes", "the page slept"],
@@ -168,6 +136,22 @@ def test_with_the_connection_all_goes_that_is_not_known_any_more(
         shown = page.do(**order)
     assert (shown["verdict"], shown["kind"]) == (verdict, "unknown")
     assert shown.items() >= NOTHING.items()
+
+
+def test_a_late_answer_shows_a_slow_link_and_what_the_state_was(page: Page) -> None:
+    """It is no connection only if none comes; nothing of a late answer is shown as current."""
+    page.measuring()
+    late = {"after_ms": 3000, "document": {**STATUS, "serial": "ALT-0008"}}
+    page.do(answers={**WELL, STATUS_PATH: late}, pass_ms=1000, tick=True)
+    shown = page.do(pass_ms=1500, tick=True)
+    assert (shown["verdict"], shown["last"]["status"]["serial"]) == ("no data from the unit", "ALT-0007")
+    shown = page.do(pass_ms=1500)
+    assert (shown["verdict"], shown["last"]["status"]["serial"]) == ("link too slow", "ALT-0008")
+    assert shown.items() >= NOTHING.items()
+    page.do(tick=True)
+    assert page.do(pass_ms=1500, tick=True)["verdict"] == "link too slow"
+    page.do(pass_ms=2000)
+    assert page.do(answers=WELL_LATER, pass_ms=500, tick=True)["verdict"] == "valid"
 
 
 def test_a_stream_that_breaks_takes_its_values_along_and_the_state_is_asked_at_once(page: Page) -> None:
@@ -284,7 +268,7 @@ def test_a_refusal_says_nothing_of_the_unit(page: Page) -> None:
     assert page.do(answers=answers, pass_ms=500, tick=True)["knows_status"] is False
     for _ in range(3):
         shown = page.do(pass_ms=500, tick=True)
-    assert (shown["verdict"], shown["knows_status"]) == ("no news from the unit", False)
+    assert (shown["verdict"], shown["knows_status"]) == ("no data from the unit", False)
     assert page.do(answers=WELL_LATER, pass_ms=500, tick=True)["verdict"] == "valid"
 
 
@@ -316,35 +300,3 @@ def test_clocks_that_drift_apart_are_kept_together(page: Page, rate: float) -> N
         shown = page.do(answers=answers, pass_ms=100, message=news, tick=number % 5 == 0)
         assert shown["verdict"] == "valid"
         assert number - shown["sequence"] <= 10
-
-
-def message(sequence: int, age_s: float = 0.1, held_s: float = 0.05) -> dict[str, Any]:
-    return {
-        "held_s": held_s,
-        "pictures": [{"target": "front", "sequence": sequence, "age_s": age_s, "spot": None, "bytes": 0}],
-    }
-
-
-def test_a_picture_is_as_old_as_its_light_and_its_way(pictures: Page) -> None:
-    """It came 350 ms after it was asked for; the unit held it for 50 ms of them."""
-    shown = pictures.do(pass_ms=350, message=message(7, age_s=0.1, held_s=0.05))
-    assert shown["address"] == "ws://plant/unit7/api/v1/pictures", "the page may be behind a prefix"
-    assert shown["shown"] == {"front": [7, pytest.approx(0.4)]}
-    assert pictures.do(pass_ms=800, tick=True)["shown"] == {"front": [7, pytest.approx(1.2)]}
-    assert pictures.do(pass_ms=200, tick=True)["shown"] == {}
-
-
-@pytest.mark.parametrize("slept_ms", [1400, 3_600_000])
-def test_a_picture_that_waited_for_a_computer_that_slept_is_not_shown(pictures: Page, slept_ms: int) -> None:
-    pictures.do(pass_ms=100, message=message(7))
-    shown = pictures.do(pass_ms=slept_ms, message=message(8), tick=True)
-    assert shown["shown"] == {}
-    assert shown["asked"] == 3  # the next is asked for nevertheless
-    assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
-
-
-def test_a_browser_whose_clock_is_set_back_keeps_no_picture_for_it(pictures: Page) -> None:
-    pictures.do(pass_ms=100, message=message(7))
-    assert pictures.do(pass_ms=-3_600_000, tick=True)["shown"] == {}
-    pictures.do(message=message(8))
-    assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
