@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import re
 import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -272,6 +273,24 @@ async def test_trends_are_filled_from_the_history_at_once_and_have_three_ticks(
         for times, values in plots:
             assert len(set(times)) == len(times) >= 3
             assert len(set(values)) == len(values) >= 3
+
+
+async def test_a_plot_has_its_values_under_the_pointer_and_in_a_table(tmp_path: Path) -> None:
+    async with page() as shown, unit("A-1", history=remembered(tmp_path / "a", "A-1", 10.0)) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#trends")
+        for span, name in (("10 minutes", "value"), ("1 hour", "mean")):
+            await shown.get_by_role("button", name=span).click()
+            plot = shown.locator("figure.plot").first
+            await plot.locator(".u-legend").get_by_text(name).wait_for()
+            area, lane = plot.locator(".u-over"), shown.locator(".lane")
+            await area.hover()
+            await plot.locator(".u-legend").get_by_text("10.000").first.wait_for()
+            await plot.get_by_text("Table of x, mm").click()
+            await plot.get_by_role("cell", name="10.000").first.wait_for()
+            places = [await part.bounding_box() for part in (area, lane)]
+            edges = [(box["x"], box["x"] + box["width"]) for box in places if box is not None]
+            assert edges[0] == pytest.approx(edges[1], abs=2)
+            assert re.search(r"(valid|good) \d", await shown.locator(".key").inner_text())
 
 
 async def test_the_range_of_the_trends_is_kept(tmp_path: Path) -> None:

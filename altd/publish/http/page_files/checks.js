@@ -1,11 +1,11 @@
 // Self-checks: the last one, earlier ones, and how far the frame LEDs have moved since the calibration.
 
-import { html, useEffect, useRef } from "./vendor/htm-preact.js";
+import { html } from "./vendor/htm-preact.js";
 import { useAnswer } from "./acting.js";
-import { PLOT_HEIGHT, axesOf, colours } from "./trend.js";
+import { Plot } from "./plot.js";
 import { UNKNOWN, fixed, utc, words } from "./words.js";
 
-const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, MIN_SPAN_PX = 0.2;
+const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, MIN_SPAN_PX = 0.2, DOTS = { show: true, size: 5 };
 
 export function SelfCheck({ check, children }) {
   if (!check) return html`<section aria-labelledby="check-title"><h2 id="check-title">Self-check</h2><p>not known</p></section>`;
@@ -42,24 +42,8 @@ function rangeOf(_, low, high) {
   return [low - add, high + add];
 }
 
-function Shifts({ target, columns }) {
-  const place = useRef(null);
-  useEffect(() => {
-    const colour = colours(place.current), t = columns[0];
-    const dots = { show: true, size: 5 };
-    const plot = new uPlot({
-      width: place.current.clientWidth, height: PLOT_HEIGHT, legend: { show: false }, cursor: { y: false },
-      scales: { x: { time: false }, y: { range: rangeOf } }, axes: axesOf(colour, t.at(-1) - t[0]),
-      series: [{}, { stroke: colour("--accent"), width: 1.5, points: dots },
-        { stroke: colour("--warned"), width: 1.5, dash: [6, 4], points: dots }],
-    }, columns, place.current);
-    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: PLOT_HEIGHT }));
-    sized.observe(place.current);
-    return () => { sized.disconnect(); plot.destroy(); };
-  }, [target, columns[0].length, columns[0].at(-1)]);
-  return html`<figure class="plot"><figcaption>${target}: shift, px; u solid, v dashed</figcaption>
-    <div ref=${place} role="img" aria-label=${`how far the frame LEDs of ${target} have moved`}></div></figure>`;
-}
+const linesOf = colour => [{ stroke: colour("--accent"), width: 1.5, points: DOTS },
+  { stroke: colour("--warned"), width: 1.5, dash: [6, 4], points: DOTS }];
 
 export function PastChecks() {
   const answer = useAnswer(`api/v1/events?kind=self_check&limit=${DRAWN}`, ASK_MS);
@@ -69,7 +53,9 @@ export function PastChecks() {
   return html`<section aria-labelledby="checks-title" class="wide"><h2 id="checks-title">Earlier self-checks</h2>
     ${answer === null ? html`<p>waiting for the unit…</p>` : answer.error ? html`<p>${answer.error}</p>` : !events.length && html`<p>none</p>`}
     ${drawn.length > 0 && html`<p class="hint">How far the frame LEDs have moved in the picture since the calibration. Times are UTC.</p>
-      <div class="plots">${drawn.map(([target, columns]) => html`<${Shifts} key=${target} target=${target} columns=${columns} />`)}</div>`}
+      <div class="plots">${drawn.map(([target, columns]) => html`<${Plot} key=${target}
+        title=${`${target}: shift, px; u solid, v dashed`} names=${["u", "v"]} decimals=${2} read=${() => columns} lines=${linesOf}
+        scales=${{ y: { range: rangeOf } }} changes=${[columns[0].length, columns[0].at(-1)]} />`)}</div>`}
     ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="earlier self-checks"><table class="events">
       <thead><tr><th scope="col">UTC</th><th scope="col">Result</th><th scope="col">Cause</th><th scope="col">Message</th></tr></thead>
       <tbody>${events.slice(0, SHOWN).map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}><td>${utc(event.time)}</td>

@@ -1,35 +1,14 @@
 // The past: trends and events from the unit's history, and the recordings of frames around faults.
 
-import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
+import { html, useEffect, useState } from "./vendor/htm-preact.js";
 import { asked, useAnswer, whyNot } from "./acting.js";
-import { PLOT_HEIGHT, axesOf, colours } from "./trend.js";
-import { QUANTITIES, megabytes, utc, words } from "./words.js";
+import { Lane, Plot, banded } from "./plot.js";
+import { QUANTITIES, SIGNALS, megabytes, utc, words } from "./words.js";
 
 const DAY_S = 86400, POINTS = 600;
 export const SPANS = { "1 hour": 3600, "1 day": DAY_S, "1 week": 7 * DAY_S, "1 month": 31 * DAY_S, "1 year": 366 * DAY_S };
 const KINDS = { cause_came: "began", cause_went: "ended" };
-const SEVERITIES = ["good", "maintenance_required", "out_of_specification", "check_function", "failure"];
-
-function Plot({ quantity, trend }) {
-  const place = useRef(null);
-  useEffect(() => {
-    const columns = trend.quantities[quantity.key];
-    if (!columns) return undefined;
-    const colour = colours(place.current);
-    const plot = new uPlot({
-      width: place.current.clientWidth, height: PLOT_HEIGHT, legend: { show: false }, cursor: { y: false },
-      scales: { x: { time: false } }, axes: axesOf(colour, trend.t_s.at(-1) - trend.t_s[0]),
-      series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: trend.t_s.length < 3 } },
-        { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } }],
-      bands: [{ series: [3, 2], fill: colour("--band") }],
-    }, gapped(trend, columns), place.current);
-    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: PLOT_HEIGHT }));
-    sized.observe(place.current);
-    return () => { sized.disconnect(); plot.destroy(); };
-  }, [quantity.key, trend]);
-  return html`<figure class="plot"><figcaption>${quantity.label}, ${quantity.unit}</figcaption>
-    <div ref=${place} role="img" aria-label=${`${quantity.label} in that time`}></div></figure>`;
-}
+const SEVERITIES = Object.keys(SIGNALS), NAMES = ["mean", "lowest", "highest"];
 
 // No line is drawn where nothing was measured for more than two spans.
 function gapped(trend, { mean, low, high }) {
@@ -41,11 +20,10 @@ function gapped(trend, { mean, low, high }) {
   return columns;
 }
 
-function Lane({ trend }) {
-  const begin = trend.t_s[0], span = Math.max(trend.t_s.at(-1) + trend.span_s - begin, 1);
-  return html`<svg class="lane" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img" aria-label="the unit's worst state in that time">
-    ${trend.t_s.map((t, number) => html`<rect key=${t} x=${1000 * (t - begin) / span} width=${1000 * trend.span_s / span} height="10"
-      class=${`worst ${SEVERITIES[trend.worst[number]]}`} />`)}</svg>`;
+function Worst({ trend }) {
+  const spans = trend.t_s.map((t, number) => ({ state: SEVERITIES[trend.worst[number]], since: t, until: t + trend.span_s }));
+  return html`<${Lane} title="the unit's worst state" spans=${spans} begin=${trend.t_s[0]} end=${trend.t_s.at(-1) + trend.span_s}
+    names=${Object.fromEntries(SEVERITIES.map(each => [each, SIGNALS[each].words]))} />`;
 }
 
 function csvOf(trend) {
@@ -73,10 +51,12 @@ export function PastTrends({ span }) {
   const isThere = trend && !trend.error && trend.t_s.length > 0;
   const address = useFile(isThere ? csvOf(trend) : null);
   if (!isThere) return html`<p>${trend === null ? "waiting for the unit…" : trend.error ?? "nothing was measured in that time"}</p>`;
-  return html`<p class="hint">Line: mean; band: lowest to highest value; bar below: the unit's worst state. Times are UTC.
+  return html`<p class="hint">Line: mean; band: lowest to highest value. Times are UTC.
       ${address && html` <a href=${address} download="trend.csv">Download as CSV</a>`}</p>
-    <div class="plots">${QUANTITIES.filter(quantity => quantity.is_shown).map(quantity =>
-      html`<${Plot} key=${quantity.key} quantity=${quantity} trend=${trend} />`)}</div><${Lane} trend=${trend} />`;
+    <div class="plots">${QUANTITIES.filter(quantity => quantity.is_shown && trend.quantities[quantity.key]).map(quantity =>
+      html`<${Plot} key=${quantity.key} title=${`${quantity.label}, ${quantity.unit}`} names=${NAMES} decimals=${quantity.decimals}
+        read=${() => gapped(trend, trend.quantities[quantity.key])} lines=${banded(trend.t_s.length < 3)} bands changes=${[quantity.key, trend]} />`)}
+      <${Worst} trend=${trend} /></div>`;
 }
 
 // The frames of an event, if they are still kept; `kept`: the unit's list of recordings.
