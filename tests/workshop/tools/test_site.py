@@ -41,7 +41,7 @@ def _title(kind: Kind) -> str:
 
 
 async def _first_found(page: Page, typed: str, wanted: set[str]) -> str:
-    """What the search shows first; a wanted title as soon as it does."""
+    """First result of the search, or a wanted title as soon as it is shown."""
     await page.fill("input.md-search__input", typed)
     await page.press("input.md-search__input", "End")
     found = ""
