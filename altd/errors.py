@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 
@@ -50,6 +51,18 @@ def escaped(text: str) -> str:
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
     )
+
+
+_PLAIN = {"µ": "u", "×": "x", "–": "-", "…": "..."}
+
+
+def shown_in(encoding: str, text: str) -> str:
+    """Return the text with only characters that a terminal of this encoding can show: ``deg`` for °."""
+    try:
+        return text.encode(encoding).decode(encoding)
+    except UnicodeEncodeError:
+        plain = "".join(_PLAIN.get(letter, letter) for letter in re.sub(r"(?<=\d)°", " deg", text))
+        return plain.replace("°", "deg").replace("±", "+/-").encode(encoding, "replace").decode(encoding)
 
 
 def unwrap_group(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:

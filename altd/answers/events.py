@@ -19,7 +19,7 @@ from altd.history.records import StoredEvent
 from altd.history.schema import UnusableFileError
 from altd.process.standard_streams import print_lines
 from altd.records import utc_text
-from altd.status.event_log import EventKind
+from altd.status.event_log import SHOWN_KINDS, EventKind
 from altd.tables import Column, CsvTable, Type, text
 
 
@@ -114,7 +114,8 @@ def event_line(event: StoredEvent) -> str:
     more = f" (and {event.held_back} similar ones before)" if event.held_back else ""
     detail = event.detail.get("detail")
     said = f": {detail}" if isinstance(detail, str) and detail else ""
-    return f"{time_text(event.t_us)} {event.kind:<11}{of} {event.text}{said}{more}"
+    kind = SHOWN_KINDS.get(event.kind, event.kind)
+    return f"{time_text(event.t_us)} {kind:<11}{of} {event.text}{said}{more}"
 
 
 def _writer(form: str) -> Callable[[StoredEvent], object]:

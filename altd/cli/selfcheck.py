@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 from altd.cli.arguments import DEFAULT_CONFIG
-from altd.errors import BadInputError
+from altd.errors import BadInputError, shown_in
 from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "check that each camera is where it was calibrated: a running unit, or a recording"
@@ -54,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_lines(json.dumps(document))
     else:
-        print_lines(*self_check_table(check))
+        print_lines(*(shown_in(sys.stdout.encoding or "ascii", line) for line in self_check_table(check)))
     return 0 if check.verdict == "good" else 1
 
 

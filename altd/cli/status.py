@@ -7,6 +7,7 @@ import json
 import sys
 
 from altd.cli.arguments import add_socket, socket_of
+from altd.errors import shown_in
 from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "print values, state, causes and remedies of the running daemon"
@@ -44,7 +45,6 @@ def run(options: argparse.Namespace) -> int:
         }
         text = json.dumps(documents)
     else:
-        encoding = sys.stdout.encoding or "ascii"
-        text = status_text(reading, status, check, calibration).encode(encoding, "replace").decode(encoding)
+        text = shown_in(sys.stdout.encoding or "ascii", status_text(reading, status, check, calibration))
     print_lines(*text.split("\n"))
     return 0 if is_healthy(reading, status) else 1

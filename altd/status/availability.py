@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 
 from altd.records import utc_text
 from altd.status.answer import Answer
+from altd.status.health import duration
 
 MAX_GAP_S = 5.0
 """Maximum time between two observations; a longer gap is lost: the process was stopped and measured
@@ -33,6 +34,15 @@ SHARES_INTERVAL_S = 10.0
 
 SPANS = (*_SPANS, "since_start")
 """Names of the spans of time."""
+
+
+def span_text(name: str, observed_s: float) -> str:
+    """Text of one of ``SPANS``: ``of the last 3 min`` while no more than that is observed."""
+    if name not in _SPANS:
+        return "since the start"
+    tally_ns, count = _SPANS[name]
+    is_whole = observed_s >= (count - 1) * tally_ns * 1e-9
+    return f"of the {name.replace('_', ' ')}" if is_whole else f"of the last {duration(observed_s)}"
 
 
 @dataclass(frozen=True, slots=True)

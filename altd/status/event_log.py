@@ -65,6 +65,9 @@ class EventKind(StrEnum):
         return kind
 
 
+SHOWN_KINDS = {EventKind.CAUSE_CAME: "began", EventKind.CAUSE_WENT: "ended"}
+"""Words on screens, where they differ from the codes."""
+
 ASKED = frozenset({EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK})
 """Events that any client on the network can cause repeatedly. They have separate limits, here and in the
 history, so that their number does not displace a state or a cause."""

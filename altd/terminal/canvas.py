@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import groupby
 
+from altd.errors import shown_in
 from altd.terminal.documents import TargetsDocument
 
 
@@ -66,6 +67,7 @@ class Canvas:
         """
         if not (0 <= row < self.rows and 0 <= column < self.columns):
             return
+        text = text if self.is_utf8 else shown_in("ascii", text)
         free = self.columns - column
         for offset, character in enumerate(self._cut(text, free if width is None else min(width, free))):
             self._cells[row][column + offset] = (self._shown(character), style)

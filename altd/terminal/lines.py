@@ -9,6 +9,7 @@ from textwrap import wrap
 from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Origin, counted
 from altd.selfcheck.records import DriftLimits
+from altd.status.availability import span_text
 from altd.status.health import duration
 from altd.status.models import Cause
 from altd.terminal.documents import (
@@ -21,13 +22,6 @@ from altd.terminal.documents import (
 
 WIDTH = 79
 """Width of a line; some terminals would wrap a line of 80."""
-
-_SPANS = {
-    "last_hour": "of the last hour",
-    "last_day": "of the last day",
-    "last_31_days": "of the last 31 days",
-    "since_start": "since the start",
-}
 
 
 def state_text(signal: str) -> str:
@@ -73,11 +67,11 @@ def number_text(number: Shown, valid: bool, width: int = WIDTH) -> str:
 def availability_text(status: StatusDocument) -> str:
     """Share of time in which the unit measured, for each span; rounded down."""
     shares = [
-        f"{int(span.share * 1e4) / 100:.2f} % {_SPANS.get(name, name)}"
+        f"{int(span.share * 1e4) / 100:.2f} % {span_text(name, span.observed_s)}"
         for name, span in status.availability
         if span.share is not None
     ]
-    return "; ".join(shares) or "not known yet"
+    return "; ".join(dict.fromkeys(shares)) or "not known yet"
 
 
 def self_check_text(check: SelfCheckDocument) -> str:
@@ -217,4 +211,4 @@ def self_check_table(check: SelfCheckDocument) -> list[str]:
     lines += [line for remark in remarks for line in hanging("  -", remark, WIDTH, 4)]
     if check.origin == Origin.SIMULATED:
         lines.append("judged from SIMULATED frames")
-    return [line.replace("°", "deg") for line in lines]
+    return lines

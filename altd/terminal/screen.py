@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from altd.reasons import Reason
 from altd.records import counted
 from altd.status.health import duration
 from altd.terminal.canvas import Canvas, PlotCells, Style, draw_target, draw_trend, limits_of, rows_for
@@ -155,11 +156,21 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
     for number, target in enumerate(targets.targets):
         column = number * (columns + 1)
         spot = None if moment.reading is None else moment.reading.spots.get(target.name)
-        place = "no spot known" if spot is None else f"x {spot[0]:.2f}  y {spot[1]:.2f} mm"
+        place = _why_no_spot(moment, target.name) if spot is None else f"x {spot[0]:.2f}  y {spot[1]:.2f} mm"
         canvas.put(2, column, f"{target.name}: {place}", Style.PLAIN if spot else Style.DIM, columns)
         path = knowledge.path(target.name, now_s)
         draw_target(canvas, replace(frame, column=column), targets, target.name, path, spot)
     return rows
+
+
+def _why_no_spot(moment: Moment, target: str) -> str:
+    """Return the target's own reason, or the state of its camera; never another target's reason."""
+    codes = () if moment.reading is None else moment.reading.status
+    own = [reason.brief for reason in Reason if f"{target}_{reason}" in codes and not reason.is_warning]
+    camera = None if moment.status is None else moment.status.components.get(f"camera {target}")
+    if own or camera is None:
+        return "; ".join(own) or "no spot known"
+    return "camera ok, not measured" if camera.state == "ok" else f"camera {camera.state}: {camera.message}"
 
 
 def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: ScreenView) -> int:

@@ -160,8 +160,8 @@ def status(*causes: dict[str, Any], signal: str = "good", **components: dict[str
         "state": {"signal": signal, "number": 0, "for_s": 7384.0, "causes": list(causes)},
         "availability": {
             "last_hour": span,
-            "last_day": span,
-            "last_31_days": span,
+            "last_day": span | {"observed_s": 86_400.0},
+            "last_31_days": span | {"observed_s": 31 * 86_400.0},
             "since_start": span | {"share": None},
         },
         "components": {

@@ -12,7 +12,7 @@ from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, ascii_unit, compone
 from altd.records import Quantities
 from altd.status.calibration_summary import CalibrationFigures
 from altd.status.conditions import Condition
-from altd.status.event_log import Event, EventLog
+from altd.status.event_log import SHOWN_KINDS, Event, EventLog
 from altd.status.health import MEASURING
 from altd.status.target_area import TargetArea
 from altd.status.unit import UnitView
@@ -134,4 +134,4 @@ def _event_line(event: Event) -> str:
     of = f" {event.of}" if event.of else ""
     alike = f" ({event.held_back} similar ones before)" if event.held_back else ""
     time = event.time.astimezone(UTC).strftime("%m-%d %H:%M:%S")
-    return hanging(time, f"{event.kind}{of}: {event.text}{alike}", 15)
+    return hanging(time, f"{SHOWN_KINDS.get(event.kind, event.kind)}{of}: {event.text}{alike}", 15)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from textwrap import fill
 
+from altd.errors import shown_in
 from altd.publish.serial.advice import advice, component_steps
 from altd.reasons import Signal
 from altd.records import Fault, Measurement, Quantities, Quantity, counted, utc_text
+from altd.status.availability import span_text
 from altd.status.cause import ShownCause, StateReport
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, ComponentReport, State, duration
@@ -26,24 +28,20 @@ _SHOWN_BY_COMPONENTS = {
 }
 """Causes that the list of faults already contains, with the component's own message."""
 
-_SPANS = {
-    "last_hour": "of the last hour",
-    "last_day": "of the last day",
-    "last_31_days": "of the last 31 days",
-    "since_start": "since the start",
-}
+_LAST_FACTS = ("unit_number", "spot_fit")
+"""Facts that a technician needs last."""
 _MAX_LOST_SHOWN = 3
 """Maximum number of reasons for lost time that are named."""
 
 
-def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
-    """State with its causes, and availability; ``whole``: with the main reasons for lost time."""
+def _state(report: StateReport) -> str:
+    """State with its causes."""
     signal = str(report.signal).replace("_", " ")
     text = signal if report.signal is Signal.GOOD else signal.upper()
     text += f" for {duration((report.now_ns - report.since_ns) * 1e-9)}"
     if report.causes:
         text += f": {'; '.join(map(_cause, report.causes))}"
-    return {"state": text, "available": _available(report, whole)}
+    return text
 
 
 def state_steps(report: StateReport) -> list[str]:
@@ -65,16 +63,17 @@ def _in_brackets(text: str | None) -> str:
 
 
 def _available(report: StateReport, whole: bool) -> str:
+    """Availability; ``whole``: with the main reasons for lost time."""
     parts = []
     for name, span in report.availability.spans().items():
         if span.share is None:
             continue
-        text = f"{_percent(span.share)} {_SPANS[name]}"
+        text = f"{_percent(span.share)} {span_text(name, span.observed_s)}"
         lost = list(span.lost_s.items())[:_MAX_LOST_SHOWN]
         if whole and lost:
             text += f" (lost: {', '.join(f'{reason} {duration(seconds)}' for reason, seconds in lost)})"
         parts.append(text)
-    return "; ".join(parts) or "not known yet"
+    return "; ".join(dict.fromkeys(parts)) or "not known yet"
 
 
 def _percent(share: float) -> str:
@@ -127,10 +126,14 @@ def status_text(view: UnitView, *, whole: bool = False) -> str:
     ``whole``: with messages, counters and figures of the components.
     """
     measurement, components, report = view.measurement, view.components, view.state
-    facts = {**view.facts.known, MEASURING: _measuring(measurement, components)}
+    facts = {} if report is None else {"state": _state(report)}
+    facts[MEASURING] = _measuring(measurement, components)
     if measurement is not None and measurement.valid:
         facts["sigma now"] = _uncertainty(measurement, view.age_s)
-    facts |= {} if report is None else state_facts(report, whole=whole)
+    if report is not None:
+        facts["available"] = _available(report, whole)
+    known = view.facts.known
+    facts |= {name: known[name] for name in sorted(known, key=_LAST_FACTS.__contains__)}
     width = max(map(len, facts)) + 2
     lines = [hanging(name, text, width) for name, text in facts.items()]
     lines += ["", *_what_to_do(measurement, components, [] if report is None else state_steps(report))]
@@ -190,7 +193,7 @@ def _value_lines(measurement: Measurement, age_s: float | None) -> list[str]:
 
 def ascii_unit(quantity: Quantity) -> str:
     """The unit of a quantity in ASCII."""
-    return quantity.unit.replace("°", "deg")
+    return shown_in("ascii", quantity.unit)
 
 
 def _reason_lines(status: Sequence[Fault]) -> list[str]:
@@ -255,14 +258,9 @@ def _of_targets(targets: Sequence[str]) -> str:
 def hanging(name: str, text: str, indent: int) -> str:
     """Text next to a name, its further lines below its first."""
     return fill(
-        _ascii(text),
+        shown_in("ascii", text),
         WIDTH,
         initial_indent=f"{name:<{indent}}",
         subsequent_indent=" " * indent,
         break_on_hyphens=False,
     )
-
-
-def _ascii(text: str) -> str:
-    """Text with only the characters that any terminal can show."""
-    return text.encode("ascii", "replace").decode("ascii")

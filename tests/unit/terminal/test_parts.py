@@ -175,7 +175,7 @@ drift front  unknown  <= 0.03   > 0.1    not known
 
 verdict  BAD: check cameras and targets for a blow or loose screws; then
          calibrate the unit again
-  - rear: moved by up to 0.138 deg
+  - rear: moved by up to 0.138 °
   - front: 2 of 6 LEDs can be used
   - front: another light
 judged from SIMULATED frames"""

@@ -171,8 +171,29 @@ def test_an_invalid_measurement_shows_no_number_and_no_spot() -> None:
     hear(knowledge, invalid("rear_spot_missing"), LAST_S)
     text = screen(knowledge, LAST_S)
     assert "NOT VALID: rear_spot_missing" in text
-    assert "front: no spot known" in text
+    assert "front: camera ok, not measured" in text
+    assert "rear: no laser spot" in text
     assert not any(known in text for known in ("35.01", "0.004", "0.029", "O  ", "O.", ":::"))
+
+
+def test_each_target_names_its_own_camera() -> None:
+    knowledge = after_a_minute()
+    hear(knowledge, invalid("front_camera_silent"), LAST_S)
+    text = screen(knowledge, LAST_S)
+    assert "front: the camera delivers no frames" in text
+    assert "rear: no spot known" in text, "nothing is known of the rear camera"
+    rear = {"state": "failed", "message": "lost: no such device", "for_s": 3.0}
+    knowledge.set_status(checked(StatusDocument, status(**{"camera rear": rear})), LAST_S)
+    assert "rear: camera failed: lost: no such" in screen(knowledge, LAST_S)
+
+
+def test_a_degree_is_never_a_question_mark() -> None:
+    knowledge = after_a_minute()
+    hot = SPOT_MISSING | {"detail": "camera front: 61.0°"}
+    knowledge.set_status(checked(StatusDocument, status(hot, signal="failure")), LAST_S)
+    page = next(number for number, (name, _) in enumerate(PAGES) if name == "causes")
+    assert "61.0 deg]" in screen(knowledge, LAST_S, page=page, utf8=False)
+    assert "61.0°]" in screen(knowledge, LAST_S, page=page, utf8=True)
 
 
 def test_before_the_first_measurement_it_says_so() -> None:

@@ -100,7 +100,7 @@ def test_the_log_has_the_newest_events_first(clock: FakeClock, events: EventLog,
     assert "\x1b" not in shown
     lines = shown.split("\r\n")
     assert "request console: " in lines[1]
-    assert "cause_came front: event 29 told at length" in lines[2]
+    assert "began front: event 29 told at length" in lines[2]
     assert f"event {30 - SHOWN_EVENTS + 1} " in shown + typed.feed(b" ").decode("ascii")
     assert max(map(len, lines)) < 80
 

@@ -12,7 +12,7 @@ from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.health import Health, State
 from altd.status.state import UnitState
-from altd.status.unit import PublishedUnit
+from altd.status.unit import PublishedUnit, UnitFacts
 
 
 class Told:
@@ -49,9 +49,17 @@ def told() -> Told:
 
 def test_a_good_unit_says_so_with_its_availability(told: Told) -> None:
     assert "state good for 59 s" in told.words()  # it was starting until its first measurement
-    shares = ("of the last hour", "of the last day", "of the last 31 days", "since the start")
-    assert f"available {'; '.join(f'99.16 % {span}' for span in shares)}" in told.words()
+    assert "available 99.16 % of the last 1 min; 99.16 % since the start " in told.words()
+    told.measure(3600)
+    assert "100.00 % of the last hour; 99.98 % of the last 1 h 1 min; 99.98 % since the" in told.words()
     assert "nothing is wrong" in told.words()
+
+
+def test_the_state_and_whether_it_measures_come_first_and_facts_of_makers_last(told: Told) -> None:
+    told.published.facts = UnitFacts(version="1", unit_number="1E4B", spot_fit="compiled", calibration="c")
+    names = [line.split("  ")[0] for line in told.text().split("\n\n")[0].split("\n") if line[0] != " "]
+    assert names[:2] == ["state", "measuring"]
+    assert names[-2:] == ["unit_number", "spot_fit"]
 
 
 def test_every_cause_is_named_with_what_to_do(told: Told) -> None:
