@@ -16,8 +16,8 @@ from altd.files.documents import line_of
 from altd.files.reading import os_reason
 from altd.history.reader import Reader
 from altd.history.records import StoredEvent
-from altd.history.schema import UnusableFileError
-from altd.process.standard_streams import print_lines
+from altd.history.schema import SECONDS, UnusableFileError
+from altd.process.standard_streams import print_errors, print_lines
 from altd.records import utc_text
 from altd.status.event_log import SHOWN_KINDS, EventKind
 from altd.tables import Column, CsvTable, Type, text
@@ -46,6 +46,7 @@ def opened(path: Path) -> Iterator[Reader]:
 
 
 _CHECK_INTERVAL_S = 0.5
+_RECORDED_US = 59 * 10**6  # less than a minute: of the table of seconds
 _MAX_CHECKS = 60
 """Maximum number of checks for a new file: a slow disk takes seconds for each write."""
 
@@ -65,7 +66,12 @@ COLUMNS = (
 def answer(
     history: Path, span_us: tuple[int, int], kinds: tuple[str, ...], form: str, *, follow: bool
 ) -> None:
-    """Write the events in the order of their occurrence, no kinds: all; raises BadInputError."""
+    """Write the events in the order of their occurrence, no kinds: all; raises BadInputError.
+
+    As text, what was in force when the span began comes first.
+    """
+    codes = {word: code for code, word in SHOWN_KINDS.items()}
+    kinds = tuple(codes.get(kind, kind) for kind in kinds)
     for kind in kinds:
         if kind not in set(EventKind):
             possible = ", ".join(EventKind)
@@ -73,10 +79,12 @@ def answer(
                 "--kind", f"{kind[:40]!r}; possible: {possible}{did_you_mean(kind, EventKind)}"
             )
     add = _writer(form)
+    is_first = True
     while True:
         file = _identity(history)
         last = 0
         with opened(history) as reader:
+            is_first = is_first and not _introduce(reader, span_us, form)
             while True:
                 for event in reader.events_after(last, *span_us, kinds):
                     add(event)
@@ -89,6 +97,40 @@ def answer(
                 if now is not None and now != file:  # moved aside: the daemon has begun another file
                     break
         _wait_until_begun(history)
+
+
+def _introduce(reader: Reader, span_us: tuple[int, int], form: str) -> bool:
+    """Say what was in force when the span began, and whether the history goes back so far."""
+    from_us, to_us = span_us
+    oldest = next(reader.events_after(0, 0, 2**62), None)
+    if oldest is None or oldest.t_us >= to_us:
+        begun = "is empty" if oldest is None else f"begins at {time_text(oldest.t_us)}"
+        print_errors(f"altd events: the history {begun}: nothing is known of this time")
+    elif from_us > oldest.t_us and form == "text":
+        print_lines(f"at {time_text(from_us)} in force, since:", *map(event_line, in_force(reader, from_us)))
+        is_kept = next(reader.summaries(SECONDS, 0, from_us - _RECORDED_US), None) is not None
+        if is_kept and not reader.trend(from_us - _RECORDED_US, from_us, 1, []).points:
+            print_lines("but nothing was measured in the minute before: the unit was off or did not run")
+        print_lines("then:")
+    return True
+
+
+def in_force(reader: Reader, t_us: int) -> list[StoredEvent]:
+    """Return the events that describe the unit at this time: start or end, state, and causes not ended."""
+    found: list[StoredEvent] = []
+    ended = set[tuple[str | None, object]]()
+    for event in reader.events(0, t_us):
+        key = event.of, event.detail.get("code", event.text)
+        if event.kind == EventKind.CAUSE_CAME and key not in ended:
+            found.append(event)
+        if event.kind in (EventKind.CAUSE_CAME, EventKind.CAUSE_WENT):
+            ended.add(key)
+        if event.kind == EventKind.STATE and not any(known.kind == EventKind.STATE for known in found):
+            found.append(event)
+        if event.kind in (EventKind.STARTED, EventKind.STOPPED):
+            found.append(event)
+            break
+    return found[::-1]
 
 
 def _wait_until_begun(file: Path) -> None:

@@ -73,7 +73,11 @@ def progress_on(what: str) -> Callable[[int, int], None]:
 
 _AGO = re.compile(r"-?(\d{1,9})([smhd])")
 _UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86_400}
-_FROM = "start: a time such as 2026-11-20T08:15 (UTC), or -2h, also s, m, d (default: the oldest)"
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}))?")
+_FROM = (
+    "start: 02:10 (the last such time, local), 2026-11-20T08:15 (UTC), or -2h, also s, m, d "
+    "(default: the oldest)"
+)
 _EARLIEST = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -81,7 +85,8 @@ def time_us(text: str) -> int:
     """Parse a time of the command line to µs since 1970; raises argparse.ArgumentTypeError.
 
     ``2026-11-20``, ``2026-11-20T08:15``, ``2026-11-20T08:15:30.5Z``, with an offset such as ``+01:00``, or
-    ``-2h``: two hours ago, likewise s, m and d. A time without an offset is UTC.
+    ``-2h``: two hours ago, likewise s, m and d. A time without an offset is UTC, except ``02:10`` or
+    ``02:10:30``: the last such time, today or yesterday, in the local time of this computer.
     """
     try:
         time = _time(text)
@@ -89,7 +94,7 @@ def time_us(text: str) -> int:
             raise ValueError
     except (ValueError, OverflowError) as error:
         raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is not a time; possible: 2026-11-20T08:15:30Z, or -2h for two hours ago"
+            f"{text[:40]!r} is not a time; possible: 2026-11-20T08:15:30Z, 02:10, or -2h for two hours ago"
         ) from error
     return round(time.timestamp() * 1e6)
 
@@ -97,6 +102,10 @@ def time_us(text: str) -> int:
 def _time(text: str) -> datetime:
     if ago := _AGO.fullmatch(text):
         return datetime.now(UTC) - timedelta(seconds=int(ago[1]) * _UNITS_S[ago[2]])
+    if clock := _CLOCK.fullmatch(text):
+        now = datetime.now()  # local, as a person reads it from a clock
+        wall = now.replace(hour=int(clock[1]), minute=int(clock[2]), second=int(clock[3] or 0), microsecond=0)
+        return (wall if wall <= now else wall - timedelta(days=1)).astimezone(UTC)
     time = datetime.fromisoformat(text)
     return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
 

@@ -65,7 +65,7 @@ class EventKind(StrEnum):
         return kind
 
 
-SHOWN_KINDS = {EventKind.CAUSE_CAME: "began", EventKind.CAUSE_WENT: "ended"}
+SHOWN_KINDS: Mapping[str, str] = {EventKind.CAUSE_CAME: "began", EventKind.CAUSE_WENT: "ended"}
 """Words on screens, where they differ from the codes."""
 
 ASKED = frozenset({EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK})

@@ -1,5 +1,6 @@
 """``altd export`` and ``altd events``: hand-made histories, read by pandas' peers: csv and pyarrow."""
 
+import argparse
 import csv
 import io
 import json
@@ -8,7 +9,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pyarrow.parquet
@@ -17,6 +18,7 @@ from support.cli import altd_here, refusal
 from support.history import START_S, batch, event, sample, state, store, write_seconds
 
 from altd.answers.events import answer
+from altd.cli.arguments import time_us
 from altd.history.opening import DAMAGED, move_aside
 from altd.history.records import ClockSet
 from altd.reasons import Reason
@@ -103,9 +105,29 @@ class TestExport:
         for given, count in ranges.items():
             said = altd_here("export", "--history", history, *given)
             if count is None:
-                assert "is not a time; possible: 2026-11-20T08:15:30Z, or -2h" in refusal(said)
+                assert "is not a time; possible: 2026-11-20T08:15:30Z, 02:10, or -2h" in refusal(said)
             else:
                 assert len(table(said.out)) == count
+
+    @pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])
+    def test_a_clock_time_is_the_last_one_in_local_time(
+        self, monkeypatch: pytest.MonkeyPatch, zone: str
+    ) -> None:
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
+        try:
+            now = datetime.now().astimezone()
+            for minutes in (-2, 2):
+                wall = now + timedelta(minutes=minutes)
+                days = 1 if wall > now else 0
+                wanted = wall.replace(second=30, microsecond=0) - timedelta(days=days)
+                assert time_us(f"{wall:%H:%M}:30") == wanted.timestamp() * 1e6
+                assert time_us(f"{wall:%H:%M}") == wanted.replace(second=0).timestamp() * 1e6
+            with pytest.raises(argparse.ArgumentTypeError, match="is not a time"):
+                time_us("24:10")
+        finally:
+            monkeypatch.undo()
+            time.tzset()
 
     def test_while_it_is_written_and_from_a_copy(self, history: Path, tmp_path: Path) -> None:
         writing = store(tmp_path)
@@ -179,7 +201,7 @@ class TestEvents:
         assert (said.status, said.err) == (0, "")
         lines = said.out.splitlines()
         assert lines[1:] == [
-            "2026-11-20T08:00:01.000Z cause_came  no laser\\x1b[2J spot",
+            "2026-11-20T08:00:01.000Z began       no laser\\x1b[2J spot",
             "2026-11-20T08:00:02.000Z request     a self-check was asked for",
         ]
         assert lines[0].endswith("history     a new history was begun")
@@ -188,7 +210,47 @@ class TestEvents:
         said = altd_here("events", "--history", history, "--kind", "request", "--format", "jsonl")
         (found,) = said.objects
         assert (found["time"], found["kind"], found["severity"]) == ("2026-11-20T08:00:02.000Z", "request", 1)
-        assert altd_here("events", "--history", history, "--to", "2026-11-20T07:00").out == ""
+        before = altd_here("events", "--history", history, "--to", "2026-11-20T07:00")
+        assert (before.status, before.out) == (0, "")
+        assert before.err.startswith(
+            "altd events: the history begins at 2026-11-20T08:00:00.000Z: nothing is "
+        )
+        word = altd_here("events", "--history", history, "--kind", "began", "--format", "jsonl").objects
+        assert [row["kind"] for row in word] == ["cause_came"]
+
+    def test_what_was_in_force_at_the_begin_of_a_window_comes_first(self, tmp_path: Path) -> None:
+        writing = store(tmp_path)
+        write_seconds(writing, START_S, [10.0] * 9)
+        noted = [
+            event(1, START_S - 9, EventKind.CAUSE_CAME, 4, "of the daemon before"),
+            event(2, START_S, EventKind.STARTED, 2, "started"),
+            event(3, START_S + 1, EventKind.STATE, 4, "failure"),
+            event(4, START_S + 2, EventKind.CAUSE_CAME, 2, "no laser spot"),
+            event(5, START_S + 3, EventKind.CAUSE_CAME, 1, "exposures were lost"),
+            event(6, START_S + 4, EventKind.CAUSE_WENT, 1, "exposures were lost"),
+            event(7, START_S + 8, EventKind.CAUSE_WENT, 2, "no laser spot"),
+        ]
+        writing.write(batch(START_S + 9, (), noted))
+        writing.end(None)
+        path = tmp_path / "history.db"
+        said = altd_here(
+            "events", "--history", path, "--from", "2026-11-20T08:00:06", "--to", "2026-11-20T09:00"
+        )
+        assert (said.status, said.err) == (0, "")
+        assert said.out.splitlines() == [
+            "at 2026-11-20T08:00:06.000Z in force, since:",
+            "2026-11-20T08:00:00.000Z started     started",
+            "2026-11-20T08:00:01.000Z state       failure",
+            "2026-11-20T08:00:02.000Z began       no laser spot",
+            "then:",
+            "2026-11-20T08:00:08.000Z ended       no laser spot",
+        ]
+        later = altd_here(
+            "events", "--history", path, "--from", "2026-11-20T08:05", "--to", "2026-11-20T09:00"
+        )
+        assert "but nothing was measured in the minute before: the unit was off" in later.out
+        data = altd_here("events", "--history", path, "--from", "2026-11-20T08:00:06", "--format", "jsonl")
+        assert [found["text"] for found in data.objects][:1] == ["no laser spot"], "data are events alone"
 
     def test_as_csv(self, history: Path) -> None:
         rows = table(altd_here("events", "--history", history, "--format", "csv").out)
