@@ -5,7 +5,7 @@
 // by a computer that slept, a slow line or a proxy, is as old as its `clock_ms`, and is not news. An answer that takes longer
 // than ANSWER_MS is late: it shows only that the line is slow, and what the state was.
 
-export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400, GIVE_UP_MS = 8000;
+export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400, SLOW_MS = 500, GIVE_UP_MS = 8000;
 const MEASUREMENT = "api/v1/measurement", STATUS = "api/v1/status", STREAM = "api/v1/stream";
 
 // Of two numbers of messages, which start again after 32 bits.
@@ -28,6 +28,7 @@ export class Link {
     this.sent = null;  // the clock of this session: at `at` here it was `clock_ms` there, or later
     this.looking = false;
     this.askedAt = null;  // of the request that is under way
+    this.tookMs = 0;  // the last answer
   }
 
   start() {
@@ -88,8 +89,10 @@ export class Link {
   forget() {
     const isLate = this.askedAt !== null && Math.abs(this.world.Date.now() - this.askedAt) > ANSWER_MS;
     if (isLate) this.lose(Object.hasOwn(REMEDIES, this.known.words) ? this.known.words : SILENT);
-    else if (this.heard && this.silentMs() > OLD_MS) this.tell({ words: SILENT, measurement: null, status: null });
+    else if (this.heard && this.silentMs() > OLD_MS) this.tell({ words: this.isSlow ? SLOW : SILENT, measurement: null, status: null });
   }
+
+  get isSlow() { return this.tookMs > SLOW_MS; }
 
   lose(words) {
     this.tell({ words, measurement: null, status: null });
@@ -103,7 +106,8 @@ export class Link {
     if (this.looking) return;
     this.looking = true;
     try {
-      this.tell({ status: await this.answered(STATUS) });
+      const status = await this.answered(STATUS);
+      this.tell({ status: this.isSlow && this.silentMs() > OLD_MS ? null : status });
       if (this.silentMs() > QUIET_MS) await this.ask();
       if (this.stream.readyState === 2) this.connect();  // closed permanently: there are too many, or it was refused
     } catch (error) {
@@ -125,6 +129,10 @@ export class Link {
     }
     if (this.heard !== before) return;  // what the stream brought meanwhile is newer
     if (!error) this.sent.message = message;
+    if (this.isSlow) {  // values would be shown for a moment, and be too old before the next ones come
+      this.tell({ words: SLOW, measurement: null });
+      return;
+    }
     this.heard = error ? at : this.timeOf(clock_ms);
     this.tell(error ? { words: "nothing measured yet", measurement: null } : { words: "", measurement });
   }
@@ -135,7 +143,8 @@ export class Link {
     const at = this.askedAt = this.world.Date.now(), signal = this.world.AbortSignal.timeout(GIVE_UP_MS);
     const answer = await (await this.world.fetch(path, { cache: "no-store", signal })).json();
     if (path === STATUS && !answer.error) this.known = { ...this.known, last: { status: answer, at } };
-    if (this.world.Date.now() - at > ANSWER_MS) throw SLOW;
+    this.tookMs = this.world.Date.now() - at;
+    if (this.tookMs > ANSWER_MS) throw SLOW;
     this.askedAt = null;
     return answer.error && !answer.status ? null : answer;
   }

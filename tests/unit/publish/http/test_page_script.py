@@ -154,6 +154,22 @@ def test_a_late_answer_shows_a_slow_link_and_what_the_state_was(page: Page) -> N
     assert page.do(answers=WELL_LATER, pass_ms=500, tick=True)["verdict"] == "valid"
 
 
+def test_values_that_would_only_flash_are_not_shown(page: Page) -> None:
+    """Each answer takes 0.7 s, and the stream is behind: a value would be too old after a moment."""
+    page.measuring()
+    for second in range(3, 7):
+        clock_ms = 343_000 + 2000 * second
+        slow = {"after_ms": 700, "document": sent(10 * second, clock_ms)}
+        page.do(
+            answers={STATUS_PATH: {"after_ms": 700, "document": STATUS}, MEASUREMENT_PATH: slow}, tick=True
+        )
+        page.do(pass_ms=700)
+        shown = page.do(pass_ms=700)
+        assert second == 3 or (shown["verdict"], shown["knows_status"]) == ("link too slow", False)
+        shown = page.do(pass_ms=600, message=sent(10 * second - 9, clock_ms - 2000), tick=True)
+        assert (shown["verdict"], shown["x_mm"]) == ("link too slow", "\N{EN DASH}")
+
+
 def test_a_stream_that_breaks_takes_its_values_along_and_the_state_is_asked_at_once(page: Page) -> None:
     page.measuring()
     shown = page.do(answers={}, broken=2)
