@@ -309,13 +309,12 @@ async def test_who_cannot_see_it_can_use_it(started: Browser, running: LedUnit, 
             await asyncio.sleep(1.0)
             await shown.page.evaluate(AXE.read_text())
             found = await shown.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
-            grave = [
+            violations = [
                 (each["id"], node["html"], node["failureSummary"])
                 for each in found["violations"]
-                if each["impact"] in ("serious", "critical")
                 for node in each["nodes"]
             ]
-            assert grave == []
+            assert violations == []
         # each view can be reached by keys alone
         await shown.open()
         for _ in range(3):

@@ -56,7 +56,7 @@ export function PastChecks() {
       <div class="plots">${drawn.map(([target, columns]) => html`<${Plot} key=${target}
         title=${`${target}: shift, px; u solid, v dashed`} names=${["u", "v"]} decimals=${2} read=${() => columns} lines=${linesOf}
         scales=${{ y: { range: rangeOf } }} changes=${[columns[0].length, columns[0].at(-1)]} />`)}</div>`}
-    ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="earlier self-checks"><table class="events">
+    ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="table of earlier self-checks"><table class="events">
       <thead><tr><th scope="col">UTC</th><th scope="col">Result</th><th scope="col">Cause</th><th scope="col">Message</th></tr></thead>
       <tbody>${events.slice(0, SHOWN).map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}><td>${utc(event.time)}</td>
         <td>${words(String(event.detail.verdict ?? "not known"))}</td><td>${words(String(event.detail.cause ?? ""))}</td><td>${event.text}</td></tr>`)}</tbody>

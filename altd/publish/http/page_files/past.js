@@ -72,7 +72,7 @@ export function Events({ kept, mayLook }) {
   const events = answer?.events ?? [];
   return html`<section aria-labelledby="events-title" class="wide"><h2 id="events-title">Events</h2>
     ${answer?.error && html`<p>${answer.error}</p>`}
-    <div class="scrolls" tabindex="0" role="region" aria-label="events"><table class="events">
+    <div class="scrolls" tabindex="0" role="region" aria-label="table of events"><table class="events">
       <thead><tr><th scope="col">UTC</th><th scope="col">Event</th><th scope="col">Part</th><th scope="col">Message</th></tr></thead>
       <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.kind === "cause_went" ? 0 : event.severity}`}>
         <td>${utc(event.time)}</td><td>${KINDS[event.kind] ?? words(event.kind)}</td><td>${event.of ?? ""}</td>
