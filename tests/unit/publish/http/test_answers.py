@@ -217,7 +217,7 @@ async def test_a_unit_is_ready_once_it_measures_even_without_a_beam(
     assert (alive.status, alive.json) == (200, {"alive": True})
     assert (starting.status, stale.status) == (503, 503)
     assert starting.json == {"error": "the unit starts"}
-    assert stale.json == {"error": "no new measurement"}
+    assert stale.json == {"error": Reason.STALE.brief}
     assert without_beam.json == measuring.json == {"ready": True}
 
 
