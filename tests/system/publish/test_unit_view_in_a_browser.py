@@ -92,14 +92,14 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         reports = [await running.check() for _ in range(2)]
         noted = await checks_noted(events, reports[-1].number)
         await shown.open("unit")
-        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
+        await section.locator(".events tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
         await picture(shown, "page-unit", section)
         events.note(
             EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
         )
         events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
-        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
-        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
+        await section.locator(".events tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
+        rows = [await row.inner_text() for row in await section.locator(".events tbody tr").all()]
         assert "odd" in rows[0]
         assert NO_PROSE in rows[1]
         for row, event in zip(rows[2:], reversed(noted), strict=True):
@@ -132,7 +132,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         await section.get_by_text("Made from SIMULATED frames").wait_for()
         rows = {
             await row.get_by_role("rowheader").inner_text(): await row.get_by_role("cell").all_inner_texts()
-            for row in await section.locator("tbody tr").all()
+            for row in await section.locator(".events tbody tr").all()
         }
         for number, target in enumerate(written["targets"]):
             residuals = [float(f"{target['residuals'][key]:.4g}") for key in ("mean_mm", "std_mm", "max_mm")]
