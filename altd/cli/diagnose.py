@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
-from altd.cli.arguments import add_config
+from altd.cli.arguments import add_socket
+from altd.errors import BadInputError
 from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "write an archive for remote diagnostics, also while the daemon does not run"
@@ -13,20 +15,37 @@ SUMMARY = "write an archive for remote diagnostics, also while the daemon does n
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    add_config(parser)
+    add_socket(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="archive to write (default: altd-SERIAL-TIME.zip)"
     )
+    parser.add_argument("--no-journal", action="store_true", help="leave out the log of altd")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the archive; if the daemon does not answer, from its files."""
     from altd.app.diagnostics import diagnose
     from altd.files.writing import write_file
+    from altd.status.unit import DiagnosticPart
 
-    name, content, why = diagnose(options.config)
-    if why:
-        print_errors(f"altd diagnose: {why}: only its files are in the archive")
+    name, content, _ = diagnose(
+        options.config,
+        options.socket,
+        [DiagnosticPart("doctor.txt", "findings of `altd doctor`", partial(_doctor, options.config))],
+        lambda line: print_errors(f"altd diagnose: {line}"),
+        with_journal=not options.no_journal,
+    )
     write_file(output := options.output or Path(name), content)
     print_lines(str(output))
     return 0
+
+
+def _doctor(place: Path | None) -> bytes:
+    """Return the findings; with settings that cannot be used, those of the computer."""
+    from altd.doctor.checks import examine, in_lines
+
+    try:
+        findings = examine(place)
+    except BadInputError as error:
+        return "\n".join([*error.lines, *in_lines(examine(None)), ""]).encode()
+    return "\n".join([*in_lines(findings), ""]).encode()

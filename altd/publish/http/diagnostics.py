@@ -45,6 +45,8 @@ _DAY_S = 86_400
 _EVENT_DAYS = 31
 _US = 10**6
 _README = "README.txt"
+JOURNAL = "journal.txt"
+"""Part with the log of the service."""
 _NO_TIME = datetime.fromtimestamp(0, UTC)
 """Time of an archive if the clock has no UTC."""
 _FIRST_ZIP_TIME, _LAST_ZIP_TIME = (1980, 1, 1, 0, 0, 0), (2107, 12, 31, 23, 59, 58)
@@ -228,9 +230,12 @@ def _cut(content: bytes) -> bytes:
 
 
 def _readme(serial: str, now: datetime, said: Sequence[str], missing: Sequence[str]) -> bytes:
+    has_log = any(line.startswith(f"{JOURNAL}: ") for line in said)
+    log = "" if has_log else ", and no log: on the unit itself `journalctl -u altd` shows that"
+    unit = serial or "of unknown serial number"
     lines = [
-        f"Diagnostics of the unit {serial}, made at {now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, "
-        "token or key, no picture, and no log: on the unit itself `journalctl -u altd` shows that.",
+        f"Diagnostics of the unit {unit}, made at {now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, "
+        f"token or key, and no picture{log}.",
         "",
         *said,
     ]

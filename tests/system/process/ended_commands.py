@@ -118,7 +118,11 @@ COMMANDS = {
     "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
     "backup": Command("backup --config {config} -o b.tar.gz", "altd.app.backup:_add 2"),
     "restore": Command("restore {archive} --config altd.toml", "altd.app.restore:_stage 2"),
-    "diagnose": Command("diagnose --config {served} -o d.zip", "altd.app.diagnostics:_versions 1"),
+    "diagnose": Command(
+        "diagnose --config {served} -o d.zip",
+        "altd.app.diagnostics:_versions 1",
+        says="(altd diagnose: .+\\n)+",
+    ),
     "check-config": Command("check-config {config}", "altd.config.loading:read_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
