@@ -12,6 +12,10 @@ from altd.process.standard_streams import print_errors, print_lines
 if TYPE_CHECKING:
     from altd.config import Config
 
+_USUAL_MM = (100.0, 1000.0)
+"""Usual distances of a unit's targets; others are no error. The sigma of yaw and pitch is that of a position
+divided by the distance: at 28 mm, a slip of a digit, it is ten times that of 280 mm."""
+
 SUMMARY = "check settings and the files that they name"
 
 
@@ -53,6 +57,10 @@ def run(options: argparse.Namespace) -> int:
     print_lines(f"{options.config}: good: unit {config.unit.serial}, {has}{origin}")
     if simulated or any(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values()):
         print_lines(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
+    if config.unit.instrument == "beam" and not config.switched_targets:
+        distance_mm = config.targets[-1].z_mm - config.targets[0].z_mm
+        if not _USUAL_MM[0] <= distance_mm <= _USUAL_MM[1]:
+            print_lines(f"{options.config}: first and last target are {distance_mm:g} mm apart: check z_mm")
     for missing in missing_files(config):
         print_lines(f"{options.config}: {missing}")
     for taken in taken_ports(config, Machine()):

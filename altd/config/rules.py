@@ -267,7 +267,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         elif camera is not None and not camera.has_outputs:
             text = f"{shown(name)} has no output; possible: a camera with driver {WITH_OUTPUTS}"
             yield Fault(keys, text, about=(table,))
-        elif name not in named and None not in draft.targets:
+        elif name not in named and None not in draft.targets and named <= draft.cameras.keys():
             yield Fault(keys, f"{shown(name)} has no target and is not opened; possible: a target's camera")
         elif name in draft.lamps.cameras[:number]:
             yield Fault(keys, f"{shown(name)} is in the list twice; possible: each camera once")

@@ -146,6 +146,8 @@ def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
         yield Fault(keys, f"this {kind_of_it} is missing{possible}", "table")
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         yield _tag_fault(keys, value, document)
+    elif kind == "tuple_type" and isinstance(value, dict) and len(keys) == 1:
+        yield Fault(keys, f"there may be several of this table; write `[[{keys[0]}]]`", "table")
     elif what == "key":
         takes = expected(*_key_type(keys), shown)
         yield Fault(keys, f"a name {WHY.get(kind, UNUSABLE)}; possible: {takes}", "key")

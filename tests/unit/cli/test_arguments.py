@@ -169,6 +169,27 @@ def test_the_shipped_config_passes_its_own_check() -> None:
     assert refused.err.splitlines() == [f"altd run: {missing}"]
 
 
+def test_settings_with_a_slip_in_one_place_have_one_error(tmp_path: Path) -> None:
+    shipped = (ROOT / "config" / "live.toml").read_text()
+    wrong = tmp_path / "altd.toml"
+    wrong.write_text(shipped.replace('camera = "rear"', 'camera = "raer"'))
+    line = refusal(altd_here("check-config", "--config", wrong))
+    assert line.endswith('there is no table [cameras.raer]; possible: "front", "rear"; did you mean `rear`?')
+    wrong.write_text(f'{shipped}\n[serial]\ndevice = "/dev/ttyS0"\n')
+    line = refusal(altd_here("check-config", wrong))
+    assert line.endswith("serial: there may be several of this table; write `[[serial]]`")
+
+
+@pytest.mark.parametrize(("z_mm", "is_usual"), [("28.0", False), ("100.0", True), ("2800.0", False)])
+def test_an_unusual_distance_of_the_targets_is_a_remark(tmp_path: Path, z_mm: str, is_usual: bool) -> None:
+    wrong = tmp_path / "altd.toml"
+    wrong.write_text((ROOT / "config" / "live.toml").read_text().replace("z_mm = 280.0", f"z_mm = {z_mm}"))
+    outcome = altd_here("check-config", wrong)
+    remark = f"{wrong}: first and last target are {float(z_mm):g} mm apart: check z_mm"
+    assert outcome.status == 0
+    assert (remark in outcome.out.splitlines()) is not is_usual
+
+
 def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     line = refusal(altd_here("run", "--rehearsal", "--config", tmp_path / "none.toml"))
