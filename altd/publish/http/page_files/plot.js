@@ -25,6 +25,14 @@ function axesOf(colour, spanS) {
     { ...axis, size: 64, space: 18, values: (_, ticks, __, ___, step) => ticks.map(tick => fixed(tick, decimalsOf(step))) }];
 }
 
+// Comes with the first plot: on a slow link the values are there before it.
+let library = null;
+function loaded() {
+  library ??= new Promise(done => document.head.append(Object.assign(document.createElement("script"),
+    { src: "page/vendor/uPlot.iife.min.js", onload: done, onerror: () => { library = null; } })));
+  return library;
+}
+
 function Table({ title, names, decimals, columns }) {
   const [t] = columns, step = Math.ceil(t.length / ROWS), rows = [...t.keys()].reverse().filter((_, number) => number % step === 0);
   return html`<table><caption class="unseen">${title}</caption>
@@ -37,7 +45,7 @@ function Table({ title, names, decimals, columns }) {
 // It is drawn again if one of `changes` differs, and read again each `redrawMs`. The table stays as when it was opened.
 export function Plot({ title, names, decimals, read, lines, bands, scales, spanS, changes, redrawMs }) {
   const place = useRef(null), [columns, setColumns] = useState(null);
-  useEffect(() => {
+  const draw = () => {
     const style = getComputedStyle(place.current), colour = name => style.getPropertyValue(name).trim(), [t, ...rest] = read();
     const plot = new uPlot({
       width: place.current.clientWidth, height: HEIGHT, cursor: { y: false }, scales: { x: { time: false, ...scales?.x }, y: { ...scales?.y } },
@@ -49,6 +57,11 @@ export function Plot({ title, names, decimals, read, lines, bands, scales, spanS
     const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: HEIGHT }));
     sized.observe(place.current);
     return () => { clearInterval(timer); sized.disconnect(); plot.destroy(); };
+  };
+  useEffect(() => {
+    let isWanted = true, end = () => {};
+    loaded().then(() => { if (isWanted) end = draw(); });
+    return () => { isWanted = false; end(); };
   }, changes);
   return html`<figure class="plot"><figcaption>${title}</figcaption>
     <div ref=${place} role="img" aria-label=${`plot of ${title}; the table has its values`}></div>
