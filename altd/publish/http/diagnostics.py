@@ -45,6 +45,7 @@ _DAY_S = 86_400
 _EVENT_DAYS = 31
 _US = 10**6
 _README = "README.txt"
+_WITHOUT_LOG = "no picture, and no log: on the unit itself `journalctl -u altd` shows that"
 JOURNAL = "journal.txt"
 """Part with the log of the service."""
 _NO_TIME = datetime.fromtimestamp(0, UTC)
@@ -231,11 +232,10 @@ def _cut(content: bytes) -> bytes:
 
 def _readme(serial: str, now: datetime, said: Sequence[str], missing: Sequence[str]) -> bytes:
     has_log = any(line.startswith(f"{JOURNAL}: ") for line in said)
-    log = "" if has_log else ", and no log: on the unit itself `journalctl -u altd` shows that"
-    unit = serial or "of unknown serial number"
+    without = "and no picture" if has_log else _WITHOUT_LOG
     lines = [
-        f"Diagnostics of the unit {unit}, made at {now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, "
-        f"token or key, and no picture{log}.",
+        f"Diagnostics of the unit {serial or 'of unknown serial number'}, made at "
+        f"{now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, token or key, {without}.",
         "",
         *said,
     ]
