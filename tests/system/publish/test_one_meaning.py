@@ -110,6 +110,7 @@ class Unit:
         self.clock = FakeClock(10**9)
         self.opcua = OpcUaUnit(self.clock, rehearsal=rehearsal)
         self.board, self.health = self.opcua.board, self.opcua.health
+        self.published = self.opcua.published
 
     @contextlib.asynccontextmanager
     async def served(self) -> Any:

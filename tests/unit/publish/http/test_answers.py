@@ -87,6 +87,8 @@ async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
     assert "unsafe" not in policy
     assert "://" not in text
     named = set(re.findall(r'(?:src|href)="(page/[^"]*)"', text))
+    for file in page_files().values():  # a script may load another one
+        named.update(re.findall(r'src: "(page/[^"]*)"', file.content.decode()))
     assert len(named) == 4
     for path in named:
         assert (await unit.ask(f"/{path}")).status == 200
