@@ -73,7 +73,7 @@ async def console() -> AsyncIterator[int]:
         tty.setraw(near)
         os.set_blocking(far, False)
         settings = ConsolePortSettings(device=Path(os.ttyname(near)), speaks="console")
-        component = unit.health.component("console")
+        component = Health(SystemClock()).component("console")
         async with _running(ConsolePublisher(settings, unit, component)):
             yield far
     finally:

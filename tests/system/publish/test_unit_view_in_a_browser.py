@@ -132,7 +132,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         await section.get_by_text("Made from SIMULATED frames").wait_for()
         rows = {
             await row.get_by_role("rowheader").inner_text(): await row.get_by_role("cell").all_inner_texts()
-            for row in await section.locator(".events tbody tr").all()
+            for row in await section.locator("tbody tr").all()
         }
         for number, target in enumerate(written["targets"]):
             residuals = [float(f"{target['residuals'][key]:.4g}") for key in ("mean_mm", "std_mm", "max_mm")]

@@ -17,6 +17,7 @@ from support.serving import serving
 from altd.config import ConsolePortSettings
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.records import Measurement
+from altd.runtime.clock import SystemClock
 from altd.status.board import Board
 from altd.status.health import Component
 from altd.status.unit import PublishedUnit
@@ -72,14 +73,14 @@ class Picocom:
 
 
 async def test_a_technician_at_a_real_terminal(
-    board: Board, published: PublishedUnit, component: Component, measured: Measurement
+    board: Board, published: PublishedUnit, measured: Measurement
 ) -> None:
     """The keys as xterm sends them, through picocom; the system's clock tells an escape from a key."""
     board.publish(replace(measured, t_ns=time.monotonic_ns()))
     with Line() as line:
         forwarding = asyncio.create_task(line.forward())
         settings = ConsolePortSettings.model_validate({"device": line.unit_end, "speaks": "console"})
-        publisher = ConsolePublisher(settings, published, component)
+        publisher = ConsolePublisher(settings, published, Component("serial", SystemClock()))
         async with serving(publisher):
             with Picocom(line.far_end) as terminal:
                 await terminal.await_prompt()
