@@ -5,6 +5,7 @@ The package of a driver holds its tables; its other modules are imported only if
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -87,12 +88,12 @@ class CameraSettings(DeviceTable):
         """Temperatures inside the camera between which the unit is in specification, °C."""
         return None
 
+    @abstractmethod
     def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
         """Return the camera, not open; raises BadInputError that names the file or key to correct.
 
         ``shared`` is empty for the first camera of a config: a driver keeps there what its cameras share.
         """
-        raise NotImplementedError
 
 
 READOUT_SHARE = 0.1
