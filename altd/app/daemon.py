@@ -51,10 +51,11 @@ from altd.measuring.frame_chain import Provenance, Seen
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, origin_faults
 from altd.runtime.clock import SystemClock
+from altd.runtime.computer import watch_computer
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
-from altd.status.health import MEASURING, Health, State
+from altd.status.health import COMPUTER, MEASURING, Health, State
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
 from altd.status.unit import PublishedUnit, UnitFacts
@@ -195,6 +196,8 @@ class Daemon:
                 if self._baseline is not None:
                     tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)
+                watching = watch_computer(self.health.component(COMPUTER), clock)
+                tasks.create_task(watching, name=COMPUTER)
                 about = clock, self._calibrated, config.installation
                 interfaces = Interfaces(self.unit, self.past, *about, tasks)
                 await interfaces.start(config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
     general: dict[str, Check] = {
         "libraries": lambda: system.libraries(config),
         "clock": lambda: system.clock(system.now(), system.clock_is_kept()),
+        "processors": lambda: system.processors(machine, time.sleep),
         "disk": lambda: system.disk(machine),
     }
     if config is None or place is None:

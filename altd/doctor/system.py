@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -22,6 +24,11 @@ MIN_YEAR = 2026
 """Minimum year of the clock: this release is no older, so an earlier year means that it was never set."""
 
 _UNSYNCHRONISED = 0x40
+_MAX_PRESSURE = 0.25
+"""Maximum share of a minute in which programs may wait for a processor: altd alone causes some per cent."""
+_MAX_OF_HOST = 0.05
+"""Maximum share of the processors that the host of a virtual machine may take away."""
+_SHOWN_PROGRAMS = 3
 
 
 def libraries(config: Config | None) -> Iterator[Finding]:
@@ -50,6 +57,51 @@ def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
         )
     else:
         yield Finding.error(subject, f"{now:%Y-%m-%d %H:%M} UTC, not synchronised with a time server", remedy)
+
+
+def processors(machine: Machine, sleep: Callable[[float], None]) -> Iterator[Finding]:
+    """Check whether other programs, or the host of a virtual machine, leave processors for altd.
+
+    The kernel's pressure is the share of the last minute in which a program waited for a processor (PSI); the
+    host's share and the programs are those of the second that the check takes.
+    """
+    before, host_before = _cpu_ticks(machine), _host_ticks(machine)
+    sleep(1.0)
+    ticks, host_ticks = os.sysconf("SC_CLK_TCK"), _host_ticks(machine) - host_before
+    shares = {name: (used - before.get(name, used)) / ticks for name, used in _cpu_ticks(machine).items()}
+    names = [f"{name[1]} ({share:.0%})" for name, share in sorted(shares.items(), key=lambda one: -one[1])]
+    host = host_ticks / ticks / max(os.cpu_count() or 1, 1)
+    found = re.search(r"some avg10=\S+ avg60=(\S+)", machine.text("/proc/pressure/cpu"))
+    pressure = float(found[1]) / 100 if found else None
+    waited = "" if pressure is None else f"programs waited {pressure:.0%} of the last minute for a processor"
+    subject, most = "processors", f"busiest now: {', '.join(names[:_SHOWN_PROGRAMS]) or 'none'}"
+    if host > _MAX_OF_HOST:
+        text = f"the host of this virtual machine takes {host:.0%} of them away"
+        yield Finding.warning(subject, text, "# give this virtual machine processors of its own")
+    elif pressure is None:
+        yield Finding.skipped(subject, f"the kernel does not report its pressure; {most}")
+    elif pressure > _MAX_PRESSURE:
+        remedy = "ps -eo pid,user,pcpu,args --sort=-pcpu | head   # end programs that the unit does not need"
+        yield Finding.warning(subject, f"{waited}; {most}", remedy)
+    else:
+        yield Finding.good(subject, waited)
+
+
+def _host_ticks(machine: Machine) -> int:
+    """Return the time that the host took away from all processors (proc(5), stat, steal), clock ticks."""
+    words = machine.text("/proc/stat").partition("\n")[0].split()
+    return int(words[8]) if len(words) > 8 else 0
+
+
+def _cpu_ticks(machine: Machine) -> dict[tuple[str, str], int]:
+    """Return the processor time of each program by its number and name, clock ticks (proc(5), pid/stat)."""
+    used = {}
+    for path in machine.paths("/proc/[0-9]*/stat"):
+        head, _, tail = machine.text(path).rpartition(") ")
+        number, _, name = head.partition(" (")
+        if len(words := tail.split()) > 12:
+            used[number, name] = int(words[11]) + int(words[12])
+    return used
 
 
 def disk(machine: Machine) -> Iterator[Finding]:

@@ -51,6 +51,10 @@ class FaultCause(Enum):
         "clean it; was it or the camera exchanged?",
     )
     LATE_PICTURES = "one camera's pictures come late", "unplug the cameras and plug them in again"
+    BUSY_COMPUTER = (
+        "the computer is busy",
+        "end other programs on the unit's computer; if this continues, check the camera's cable and trigger",
+    )
     TOO_OBLIQUE = "the beam is too oblique", "turn the unit towards the beam"
 
     @property

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from altd.reasons import Reason
-from altd.records import Fault, Measurement
+from altd.records import Fault, FaultCause, Measurement
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
-from altd.status.health import MEASURING, Component, State
+from altd.status.health import COMPUTER, MEASURING, Component, State
 
 START_S = 2.0
 """Time after the daemon's start during which the unit counts as starting: cameras take time to open, s."""
@@ -18,6 +19,18 @@ MAX_START_S = 15.0
 
 _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAILED}
 """Reasons that are not a failure while the unit starts."""
+
+OF_DELAYS = {
+    Reason.CAMERA_SILENT,
+    Reason.OUT_OF_STEP,
+    Reason.WARMING_UP,
+    Reason.STALE,
+    Reason.EXPOSURES_LOST,
+    Condition.NOTHING_MEASURED,
+    Condition.CAMERA_DEGRADED,
+    Condition.COMPONENT_SILENT,
+}
+"""Causes that a busy computer has, too: while it is busy, a cable or a trigger is not the first suspect."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
 """Kinds of components that are external interfaces."""
@@ -37,6 +50,9 @@ def causes_now(
         return [Cause(Condition.STARTING), *causes]
     if measurement is None:
         causes.insert(0, Cause(Condition.NOTHING_MEASURED))
+    if any(cause.kind is Condition.COMPUTER_BUSY for cause in causes):
+        busy = FaultCause.BUSY_COMPUTER
+        causes = [replace(cause, known=busy) if cause.kind in OF_DELAYS else cause for cause in causes]
     return causes
 
 
@@ -81,7 +97,7 @@ def _of_component(component: Component, now_ns: int) -> Condition | None:
         case State.DEGRADED:
             if component.name == MEASURING:
                 return None
-            return Condition.CAMERA_DEGRADED if component.kind == "camera" else Condition.COMPONENT_DEGRADED
+            return _DEGRADED.get(component.kind, Condition.COMPONENT_DEGRADED)
         case State.ENDED if component.kind == "camera":
             return Condition.RECORDING_ENDED
         case State.FAILED if component.kind in _FACES:
@@ -90,6 +106,8 @@ def _of_component(component: Component, now_ns: int) -> Condition | None:
             return _FAILED.get(component.kind, Condition.COMPONENT_FAILED)
     return Condition.COMPONENT_FAILED
 
+
+_DEGRADED = {"camera": Condition.CAMERA_DEGRADED, COMPUTER: Condition.COMPUTER_BUSY}
 
 _FAILED = {
     "camera": Condition.CAMERA_FAILED,

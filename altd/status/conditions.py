@@ -143,6 +143,12 @@ class Condition(StrEnum):
         "calibrate again",
         "the calibration is older than `calibration_due_days`",
     )  # fmt: skip
+    COMPUTER_BUSY = (
+        "computer_busy", _MAINTENANCE_REQUIRED,
+        "the computer is busy",
+        "end other programs on the unit's computer; `altd doctor` names them",
+        "a thread of altd waits more than 20 % of the time for a processor, or responds more than 0.1 s late",
+    )  # fmt: skip
     CLOCK_WRONG = (
         "clock_wrong", _MAINTENANCE_REQUIRED,
         "the clock is wrong",

@@ -13,6 +13,9 @@ from altd.status.event_log import EventLog
 MEASURING = "measuring"
 """Name of the component whose state follows the latest measurement."""
 
+COMPUTER = "computer"
+"""Name of the component that is degraded while the computer is busy."""
+
 FIGURE_AGE_S = 2.5
 """Maximum age of a current figure, s; components observe at least every 2 s, even without data."""
 

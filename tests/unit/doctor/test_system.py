@@ -1,8 +1,10 @@
 """Libraries, clock, disk and calibration; and the command as a whole."""
 
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +29,43 @@ from altd.vision import kernel
 from .conftest import Tree, configured, says
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
+
+
+class TestProcessors:
+    @pytest.fixture
+    def stat(self, tree: Tree) -> Callable[..., None]:
+        """Write the processor time, in seconds, of the host and of two programs."""
+        ticks = os.sysconf("SC_CLK_TCK")
+
+        def write(host: float = 0.0, compiler: float = 0.0) -> None:
+            steal = round(host * ticks * (os.cpu_count() or 1))
+            tree.write("proc/stat", f"cpu  9 0 9 9 0 0 0 {steal} 0 0")
+            tree.write("proc/7/stat", f"7 (cc1) R {'0 ' * 10}{round(compiler * ticks)} 0 0")
+            tree.write("proc/8/stat", f"8 (a ) b) S {'0 ' * 10}5 5 0")
+
+        write()
+        return write
+
+    def test_programs_that_take_them_are_named(self, tree: Tree, stat: Callable[..., None]) -> None:
+        tree.write("proc/pressure/cpu", "some avg10=99.00 avg60=63.20 avg300=1.00 total=1")
+        (finding,) = system.processors(tree.machine, lambda _: stat(compiler=0.8))
+        assert finding.verdict is Verdict.WARNING
+        assert finding.text == (
+            "programs waited 63% of the last minute for a processor; busiest now: cc1 (80%), a ) b (0%)"
+        )
+
+    def test_a_host_that_takes_them_away(self, tree: Tree, stat: Callable[..., None]) -> None:
+        (finding,) = system.processors(tree.machine, lambda _: stat(host=0.3))
+        assert (finding.verdict, finding.text[-22:]) == (Verdict.WARNING, "takes 30% of them away")
+
+    def test_a_quiet_computer(self, tree: Tree) -> None:
+        tree.write("proc/pressure/cpu", "some avg10=9.00 avg60=4.00 avg300=1.00 total=1")
+        (finding,) = system.processors(tree.machine, lambda _: None)
+        assert finding == Finding.good("processors", "programs waited 4% of the last minute for a processor")
+
+    def test_a_kernel_that_does_not_report_it(self, tree: Tree) -> None:
+        (finding,) = system.processors(tree.machine, lambda _: None)
+        assert finding.verdict is Verdict.SKIPPED
 
 
 class TestLibraries:

@@ -5,8 +5,9 @@ from typing import cast
 
 import pytest
 
+from altd.publish.serial.words import status_text
 from altd.reasons import Reason, Scope
-from altd.records import Fault
+from altd.records import Fault, FaultCause
 from altd.status.cause import MAINTENANCE_DELAY_S, Cause, StateReport
 from altd.status.causes import MAX_START_S, START_S
 from altd.status.conditions import Condition
@@ -144,6 +145,7 @@ REACHED: dict[str, tuple[str, Callable[[Unit], StateReport]]] = {
     "residuals_rising": (MAINTENANCE, with_watch(Condition.RESIDUALS_RISING)),
     "dusty": (MAINTENANCE, with_watch(Condition.DUSTY)),
     "calibration_due": (MAINTENANCE, with_watch(Condition.CALIBRATION_DUE)),
+    "computer_busy": (MAINTENANCE, with_component("computer", State.DEGRADED)),
     "clock_wrong": (MAINTENANCE, with_watch(Condition.CLOCK_WRONG)),
 }
 """Each cause by its code: the signal that it brings, and what brings it about."""
@@ -167,3 +169,29 @@ def test_is_reached(code: str) -> None:
     assert (found.signal, found.is_active) == (signal, True)
     assert found.cause.kind.brief
     assert found.cause.kind.remedy
+
+
+@pytest.mark.parametrize("reason", [Reason.OUT_OF_STEP, Reason.EXPOSURES_LOST, Reason.CAMERA_SILENT])
+def test_while_the_computer_is_busy_no_cable_and_no_trigger_is_suspected_first(reason: Reason) -> None:
+    unit = Unit()
+    computer = unit.health.component("computer")
+
+    def advice() -> set[str]:
+        report = unit.measure(Fault(reason, "front"), for_s=MAINTENANCE_DELAY_S)
+        console = status_text(unit.published.view()).replace("\n    ", " ")
+        remedies = {shown.cause.remedy for shown in report.causes if shown.cause.kind is reason}
+        assert all(remedy in console for remedy in remedies)
+        return remedies
+
+    assert advice() == {reason.remedy}
+    computer.set_state(State.DEGRADED, "altd waited 90% of the time for a processor")
+    assert advice() == {FaultCause.BUSY_COMPUTER.remedy}
+    computer.set_state(State.OK)
+    assert advice() == {reason.remedy}
+
+
+def test_a_busy_computer_explains_no_missing_spot() -> None:
+    unit = Unit()
+    unit.health.component("computer").set_state(State.DEGRADED)
+    (dark,) = unit.measure(Fault(Reason.SPOT_MISSING, "front")).causes
+    assert dark.cause.remedy == Reason.SPOT_MISSING.remedy
