@@ -147,7 +147,7 @@ class Condition(StrEnum):
         "computer_busy", _MAINTENANCE_REQUIRED,
         "the computer is busy",
         "end other programs on the unit's computer; `altd doctor` names them",
-        "a thread of altd waits more than 20 % of the time for a processor, or responds more than 0.1 s late",
+        "a thread of altd waits longer for a processor than it rests, or the daemon responds 0.1 s late",
     )  # fmt: skip
     CLOCK_WRONG = (
         "clock_wrong", _MAINTENANCE_REQUIRED,
