@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
@@ -63,6 +64,12 @@ class TargetCalibration:
     def inverse(self) -> InverseMap:
         """Map from px to mm."""
         return InverseMap(self.map)
+
+    @cached_property
+    def px_per_mm(self) -> float:
+        """Scale of the picture in the middle of the area: the root of the pixels per mm²."""
+        jacobian = self.map.jacobian(self.map.hull_mm.mean(axis=0, keepdims=True))[0]
+        return math.sqrt(abs(float(np.linalg.det(jacobian))))
 
     @property
     def valid_mm(self) -> FloatArray:

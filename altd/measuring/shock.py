@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from altd.measuring.spot_locator import Located
 from altd.records import Spot
 
-JUMP_PX = 8.0
-"""Maximum distance from the position predicted by steady motion, about 2 mm. Vibration of a machine at work
-moves no spot farther from one frame to the next."""
+JUMP_MM = 2.2
+"""Maximum distance from the position predicted by steady motion. Vibration of a machine at work moves no spot
+farther from one frame to the next."""
 TOGETHER_NS = 150_000_000
 _MAX_UNEVENNESS = 3.0
 """Ratio of the longest interval between two frames to the shortest (``devices.trigger_times``)."""
@@ -21,8 +21,9 @@ _GAP_NS = 400_000_000
 
 @dataclass(slots=True)
 class _Track:
-    """Last two spots of a camera with their times, and the time of its last jump."""
+    """Scale of a camera's picture, its last two spots with their times, and the time of its last jump."""
 
+    px_per_mm: float
     before: tuple[Spot, int] | None = None
     last: tuple[Spot, int] | None = None
     jumped_ns: int | None = None
@@ -31,8 +32,8 @@ class _Track:
 class ShockWatch:
     """Checks every frame. A moved camera, a blow to the unit and one to the laser cannot be distinguished."""
 
-    def __init__(self, cameras: Iterable[str]) -> None:
-        self._tracks = {camera: _Track() for camera in cameras}
+    def __init__(self, px_per_mm: Mapping[str, float]) -> None:
+        self._tracks = {camera: _Track(scale) for camera, scale in px_per_mm.items()}
 
     def is_shock(self, located: Located) -> bool:
         """Return whether the spots of all cameras have jumped by this frame; true once for one shock."""
@@ -63,4 +64,5 @@ class ShockWatch:
         u_px = last.u_px + ahead * (last.u_px - before.u_px)
         v_px = last.v_px + ahead * (last.v_px - before.v_px)
         longer = max(min(ahead, _MAX_UNEVENNESS), 1.0)  # of vibration, extrapolation makes 1 + ahead times
-        return math.hypot(spot.u_px - u_px, spot.v_px - v_px) > JUMP_PX * (1.0 + longer) / 2.0
+        jump_mm = math.hypot(spot.u_px - u_px, spot.v_px - v_px) / track.px_per_mm
+        return jump_mm > JUMP_MM * (1.0 + longer) / 2.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Fault, FaultCause, Frame, NoSpot, Spot
-from altd.vision.fingerprint import MAX_SHIFTS_PX, Fingerprint, ViewOutcome, ViewVerdict
+from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.texture import TextureSample
 
@@ -24,6 +24,11 @@ _MAX_MOVE_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
 _STACKED_FRAMES = 8
 """Number of dim frames evaluated together: at 3 % of the light a shift was found in six of them."""
+_MAX_SHIFT_MM = 0.11
+"""Maximum shift of the picture on the target: 0.4 px at 3.6 px/mm. Heat moves such an image by 0.1 to 0.3 px,
+of which up to a third more is measured."""
+_MAX_SHIFTS_MM = 0.2
+"""Maximum sum of the shifts of two targets: 0.041° at 280 mm if they move against each other."""
 _MAX_JUMP_PX = 0.5
 _MAX_JUMP_MEDIANS = 3.0
 """Maximum distance from the position predicted by steady motion: a shifted picture shifts its spot. The
@@ -40,7 +45,7 @@ class ViewStatus:
     ``has_fingerprint``: the calibration has data to verify it. ``verified_ns`` is the time of the last
     verification, ``wrong`` and ``doubt`` are texts on what is wrong or not known, ``shift_px`` is the shift
     of the picture, ``frame_ns`` the time of the last frame compared with the calibration; None: not known.
-    ``certain_shift_px`` is the last shift that a flat shows, 0 if there is none.
+    ``certain_shift_mm`` is the last shift on the target that a flat shows, 0 if there is none.
     """
 
     target: str
@@ -51,7 +56,7 @@ class ViewStatus:
     sensor_is_same: bool
     shift_px: float | None
     frame_ns: int | None
-    certain_shift_px: float = 0.0
+    certain_shift_mm: float = 0.0
 
     def figures(self, now_ns: int) -> dict[str, float | str]:
         """Return the figures for health: whether the view is verified, since when, and the picture's shift.
@@ -81,12 +86,12 @@ class ViewStatus:
 
 def shift_fault(views: Iterable[ViewStatus]) -> Fault | None:
     """Return the fault if the pictures of two targets are shifted by too much in sum, else None."""
-    shifted = sorted(views, key=lambda view: view.certain_shift_px)[-2:]
-    total_px = sum(view.certain_shift_px for view in shifted)
-    if total_px <= MAX_SHIFTS_PX:
+    shifted = sorted(views, key=lambda view: view.certain_shift_mm)[-2:]
+    total_mm = sum(view.certain_shift_mm for view in shifted)
+    if total_mm <= _MAX_SHIFTS_MM:
         return None
     names = " and ".join(view.target for view in shifted)
-    detail = f"the pictures of {names} lie {total_px:.2f} px aside in sum, the limit is {MAX_SHIFTS_PX} px"
+    detail = f"the pictures of {names} lie {total_mm:.2f} mm aside in sum, the limit is {_MAX_SHIFTS_MM} mm"
     return Fault(Reason.WRONG_CAMERA, shifted[-1].target, detail)
 
 
@@ -108,6 +113,7 @@ class ViewCheck:
         self._target = target.name
         self._other_place_of = other_place_of
         self._fingerprint = target.fingerprint
+        self._px_per_mm = target.px_per_mm
         self._expected = expected
         self._last_ns: int | None = None
         self._reset()
@@ -117,7 +123,7 @@ class ViewCheck:
         self._wrong_verdicts = 0
         self.displaced_px = 0.0
         """Uncertainty that the picture's shift adds to spots that are not rejected."""
-        self._certain_shift_px = 0.0
+        self._certain_shift_mm = 0.0
         self._restart_examination()
 
     def _restart_examination(self) -> None:
@@ -181,7 +187,7 @@ class ViewCheck:
             self._sensor_is_same,
             self._shift_px,
             self._last_ns,
-            self._certain_shift_px,
+            self._certain_shift_mm,
         )
 
     def _is_due(self, frame: Frame, spot: Spot | NoSpot, has_jumped: bool) -> bool:
@@ -216,6 +222,7 @@ class ViewCheck:
         return jump_px > max(_MAX_JUMP_PX, _MAX_JUMP_MEDIANS * usual_px)
 
     def _examine(self, fingerprint: Fingerprint, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
+        fingerprint = replace(fingerprint, max_shift_px=_MAX_SHIFT_MM * self._px_per_mm)
         verdict = fingerprint.examine(analysis, isinstance(spot, Spot), tuple(self._faint))
         if verdict.faint is None:
             self._faint.clear()
@@ -230,7 +237,7 @@ class ViewCheck:
             self._shift_px = verdict.shift_px
         if verdict.displaced_px is not None:
             self.displaced_px = verdict.displaced_px
-            self._certain_shift_px = verdict.shift_px or 0.0
+            self._certain_shift_mm = (verdict.shift_px or 0.0) / self._px_per_mm
         if verdict.outcome is ViewOutcome.REFUTED:
             self._wrong = verdict
             self._wrong_verdicts += 1

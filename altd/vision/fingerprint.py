@@ -20,11 +20,6 @@ from altd.vision.texture import Texture, TextureMatch, TextureSample, match, sam
 
 TextureSource = Literal["flat", "scan"]
 
-MAX_SHIFT_PX = 0.4
-"""Maximum shift of the picture, 0.08 mm on the target. Heat moves an image by 0.1 to 0.3 px, of which up to a
-third more is measured."""
-MAX_SHIFTS_PX = 0.72
-"""Maximum sum of the shifts of two targets: if their pictures move against each other, they make 0.0295°."""
 _MIN_SIGNIFICANCE = 8.0
 _NOISE_SIGMAS = 3.0
 _MODEL_ERROR_PX = 0.02
@@ -106,7 +101,7 @@ class Fingerprint:
     laser and of the edges of its spots, which move with a spot: it verifies a view and refutes none. None:
     nothing is known of the target's surface. ``usual_doubled_px`` is the value of ``doubled_px`` below which
     95 % of good spots are; None: not known. ``moved`` (2, 3) maps (u, v, 1) of the calibrated picture to its
-    known current position, None: unmoved; shifts count from there.
+    known current position, None: unmoved; shifts count from there, up to ``max_shift_px``.
     """
 
     hot: HotPixels
@@ -114,6 +109,7 @@ class Fingerprint:
     source: TextureSource | None
     usual_doubled_px: float | None = None
     moved: FloatArray | None = None
+    max_shift_px: float = 0.4
 
     def examine(
         self, analysis: FrameAnalysis, has_spot: bool, earlier: Sequence[TextureSample] = ()
@@ -163,7 +159,7 @@ class Fingerprint:
             faint = sample if self.source == "flat" else None
             return replace(ViewVerdict.undecided(reason), faint=faint)
         displaced_px = self._displaced_px(found, is_patterned) if self.source == "flat" else None
-        if found.shift_px > MAX_SHIFT_PX:
+        if found.shift_px > self.max_shift_px:
             place = "where it was calibrated" if self.moved is None else "where the self-check found it"
             shift = f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from {place}"
             if found.shift_px < _MIN_SIGNIFICANCE * found.sigma_px:

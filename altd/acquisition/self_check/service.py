@@ -66,7 +66,8 @@ class SelfChecks:
         self._service = service
         self._component = component
         self._clock = clock
-        self._shocks = ShockWatch(targets)
+        scales = {target.name: target.px_per_mm for target in parts.geometry.calibration.targets}
+        self._shocks = ShockWatch({camera: scales[name] for camera, name in targets.items()})
         self._targets = targets
         self._at: dict[str, SpotPx] = {}
         self._is_valid = False

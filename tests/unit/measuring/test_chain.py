@@ -157,21 +157,21 @@ def test_pictures_torn_alike_in_a_moving_machine_are_late_within_sigma(calibrati
 
 
 @pytest.mark.parametrize(
-    ("front_px", "rear_px", "status"), [(0.37, 0.34, []), (0.35, 0.38, ["rear_wrong_camera"])]
+    ("front_mm", "rear_mm", "status"), [(0.10, 0.09, []), (0.10, 0.11, ["rear_wrong_camera"])]
 )
 def test_pictures_aside_on_both_targets_are_limited_by_their_sum(
-    calibration: Calibration, front_px: float, rear_px: float, status: list[str]
+    calibration: Calibration, front_mm: float, rear_mm: float, status: list[str]
 ) -> None:
     """Pictures that crept by 0.3 px a second, each within its own limit, made 0.0303°."""
     measured = chain(calibration)
-    aside_px = {"left": front_px, "right": rear_px}
+    aside_mm = {"left": front_mm, "right": rear_mm}
     found = [measured.located(frame) for frame in shots([(10.0, 5.0)] * 4)]
-    aside = [replace(one, view=replace(one.view, certain_shift_px=aside_px[one.camera])) for one in found]
+    aside = [replace(one, view=replace(one.view, certain_shift_mm=aside_mm[one.camera])) for one in found]
     *_, measurement = [measured.add(paired(*aside[place : place + 2])) for place in range(0, 8, 2)]
     assert [str(fault) for fault in measurement.status] == status
     if status:
         assert measurement.status[0].detail == (
-            "the pictures of front and rear lie 0.73 px aside in sum, the limit is 0.72 px"
+            "the pictures of front and rear lie 0.21 mm aside in sum, the limit is 0.2 mm"
         )
 
 

@@ -1,7 +1,7 @@
 """Motion of all spots at once: a shock, and the lag of the second spot when a rigid motion starts."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,14 @@ PERIOD_NS = 50_000_000
 Path = Callable[[str, float], float]
 
 
-def shocks(path: Path, lost: tuple[int, ...] = (), seconds: float = 3.0) -> list[int]:
+PX_PER_MM = {"front": 4.0, "rear": 4.0}
+
+
+def shocks(
+    path: Path, lost: tuple[int, ...] = (), seconds: float = 3.0, px_per_mm: Mapping[str, float] = PX_PER_MM
+) -> list[int]:
     """The numbers of the exposures with which a shock is seen; ``path`` gives u of a camera at a second."""
-    watch = ShockWatch(("front", "rear"))
+    watch = ShockWatch(px_per_mm)
     found = []
     for number in range(round(seconds * 20)):
         for camera in ("front", "rear"):
@@ -55,6 +60,19 @@ def test_each_jump_of_all_spots_is_a_shock(
     assert shocks(path, lost) == seen
 
 
+@pytest.mark.parametrize(("mm", "seen"), [(1.8, []), (2.6, [20])])
+@pytest.mark.parametrize("resolution", [0.5, 1.0, 2.0])
+def test_a_shock_is_one_on_the_targets_whatever_the_cameras_resolve(
+    resolution: float, mm: float, seen: list[int]
+) -> None:
+    px_per_mm = {"front": 3.5 * resolution, "rear": 3.7 * resolution}
+
+    def path(camera: str, t_s: float) -> float:
+        return 300.0 + (px_per_mm[camera] * mm if t_s >= 1.0 else 0.0)
+
+    assert shocks(path, px_per_mm=px_per_mm) == seen
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -74,7 +92,7 @@ def test_what_is_no_shock(path: Path) -> None:
 
 def test_vibration_between_uneven_frames_is_no_shock() -> None:
     """Of 0.45 mm at 40 Hz: extrapolated over a long interval from a short one it doubles its size."""
-    watch = ShockWatch(("front", "rear"))
+    watch = ShockWatch(PX_PER_MM)
     found = set()
     for number, t_ns in enumerate(frame_times_ns(False, 2000)):
         spot = replace(SPOT, u_px=300.0 + 1.8 * math.sin(2 * math.pi * 40.3 * t_ns * 1e-9))

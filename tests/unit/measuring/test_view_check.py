@@ -100,8 +100,9 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     )
 
     def examine(
-        _: Fingerprint, seen: FrameAnalysis, has_spot: bool, earlier: Sequence[TextureSample]
+        fingerprint: Fingerprint, seen: FrameAnalysis, has_spot: bool, earlier: Sequence[TextureSample]
     ) -> ViewVerdict:
+        assert fingerprint.max_shift_px == pytest.approx(0.11 * 4, rel=1e-3)  # at 4 px/mm
         made.examined.append(seen.frame.sequence)
         made.stacked.append(len(earlier))
         return made.verdict
@@ -168,15 +169,15 @@ def test_dim_frames_before_a_jump_and_before_a_bright_one_do_not_count(bench: Be
 def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:
     bench.push(5)
     assert bench.check.displaced_px == 0.0
-    assert bench.check.status.certain_shift_px == 0.0  # of a scan's texture
+    assert bench.check.status.certain_shift_mm == 0.0  # of a scan's texture
     bench.push(4, replace(GOOD, shift_px=0.3, displaced_px=0.29))
     assert bench.check.displaced_px == 0.29
-    assert bench.check.status.certain_shift_px == 0.3
+    assert bench.check.status.certain_shift_mm == pytest.approx(0.3 / 4)
     bench.push(4, DOUBT)
     # no frame has shown it back
-    assert (bench.check.displaced_px, bench.check.status.certain_shift_px) == (0.29, 0.3)
+    assert (bench.check.displaced_px, bench.check.status.certain_shift_mm) == pytest.approx((0.29, 0.3 / 4))
     bench.push(4, replace(GOOD, displaced_px=0.0))
-    assert (bench.check.displaced_px, bench.check.status.certain_shift_px) == (0.0, 0.04)
+    assert (bench.check.displaced_px, bench.check.status.certain_shift_mm) == pytest.approx((0.0, 0.04 / 4))
 
 
 def test_a_pause_begins_anew(bench: Bench) -> None:

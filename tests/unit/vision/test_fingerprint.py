@@ -81,6 +81,23 @@ def test_a_shift_that_was_known_in_part_adds_what_is_left_of_it(calibrated: Fing
         assert found.displaced_px == pytest.approx(left_px, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("aside_px", "max_shift_px", "outcome"),
+    [
+        (0.3, 0.2, ViewOutcome.REFUTED),
+        (0.3, 0.4, ViewOutcome.VERIFIED),
+        (0.6, 0.4, ViewOutcome.REFUTED),
+        (0.6, 0.8, ViewOutcome.VERIFIED),
+    ],
+    ids=["half the resolution", "as usual", "as usual, farther", "twice the resolution"],
+)
+def test_how_far_a_picture_may_lie_aside_is_the_callers(
+    calibrated: Fingerprint, aside_px: float, max_shift_px: float, outcome: ViewOutcome
+) -> None:
+    shown = FrameAnalysis(seen(Motion(aside_px)), SpotSettings())
+    assert replace(calibrated, max_shift_px=max_shift_px).examine(shown, True).outcome is outcome
+
+
 def _of_dim_frames(fingerprint: Fingerprint, motion: Motion, count: int) -> list[ViewVerdict]:
     """Of frames in a row with little light, each with noise of its own, as the daemon examines them."""
     image = light(replace(SPOT, peak=4.0)) * PLATE.response(motion.of)
