@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.cli import altd_here, refusal
 from support.places import ROOT
@@ -252,8 +253,28 @@ def test_the_specification_has_the_ranges_rates_and_limits_of_the_code() -> None
     outside = rows["`too_cold`, `too_hot` of camera and thermometer"]
     assert outside == f"below −{-coldest:g} °C, above +{warmest:g} °C"
     readme = _rows("README.md")
-    assert readme["range of displacement"] == f"{width:g} × {height:g} mm"
-    assert readme["range of yaw, pitch"] == f"±{MAX_YAW_MM_PER_M:g}, ±{MAX_PITCH_MM_PER_M:g} mm/m"
+    angles = f"±{MAX_YAW_MM_PER_M:g}, ±{MAX_PITCH_MM_PER_M:g} mm/m"
+    assert readme["range"] == f"x, y: {width:g} × {height:g} mm; yaw, pitch: {angles}"
+    assert readme["measurements"] == f"{rows['measurements']}, each the mean of one second, 0.5 to 0.6 s old"
+
+
+def test_the_readme_states_the_combined_uncertainty_of_the_budget() -> None:
+    """The larger one of both units; a turned scan replaces the beam's tilt by 0.0003° (docs/budget.md)."""
+    study = (ROOT / "docs" / "studies" / "budget.md").read_text()
+    once, twice = np.zeros(4), np.zeros(4)
+    for unit in ("simulated", "rendered"):
+        terms = {
+            name: np.array([float(value) for value in values.split("|")])
+            for name, values in re.findall(rf"^\|{unit}: (.+?) *\|(.+)\|$", study, re.M)
+        }
+        combined, tilt = terms["**combined, linear**"], terms["calibrating beam against the normal"]
+        assert tilt.tolist() == pytest.approx([0.0, 0.0, 0.017, 0.017], abs=3e-4)  # 0.3 mm/m
+        once = np.maximum(once, combined)
+        twice = np.maximum(twice, np.sqrt(combined**2 - tilt**2 + (tilt > 0) * 0.0003**2))
+    page = (ROOT / "README.md").read_text()
+    stated = re.findall(r"^\| (?:one scan|the same).+\| ([\d.]+) mm \| ([\d.]+)° \|$", page, re.M)
+    figures = [[f"{each[:2].max():.3f}", f"{each[2:].max():.3f}"] for each in (once, twice)]
+    assert [list(row) for row in stated] == figures
 
 
 def test_the_recommended_limits_of_age_are_those_of_the_readers() -> None:
@@ -269,9 +290,8 @@ def test_the_recommended_limits_of_age_are_those_of_the_readers() -> None:
     assert rows["the same for a program that waits for the unit"].startswith(f"{waiting_s:g} s (")
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/specification.md"])
-def test_measured_figures_are_those_of_the_pages_that_explain_them(page: str) -> None:
+def test_measured_figures_are_those_of_the_pages_that_explain_them() -> None:
     sources = "".join((ROOT / f"docs/{name}.md").read_text() for name in ("accuracy", "studies/fig-3.17"))
-    figures = re.findall(r"\b(?:0\.\d{4}|\d+,\d{3})\b", (ROOT / page).read_text())
+    figures = re.findall(r"\b(?:0\.\d{4}|\d+,\d{3})\b", (ROOT / "docs/specification.md").read_text())
     assert len(figures) > 12
     assert [figure for figure in figures if figure not in sources] == []
