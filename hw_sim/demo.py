@@ -28,6 +28,7 @@ from altd.config import (
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, unwrap_group
 from altd.ports import Camera, Lamps
+from altd.tcp_port import listen
 from hw_sim.arguments import natural, port, seconds
 from hw_sim.camera import RealTimeLamps, make_cameras
 from hw_sim.demo_figures import Figures
@@ -87,6 +88,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demo until its duration is over, ``q`` or a signal; raises BadInputError."""
+    for number in filter(None, (arguments.http_port, arguments.modbus_port)):
+        _check_free(number)
     return run_until_stopped(partial(_demo, arguments))
 
 
@@ -275,6 +278,14 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
             ),
         ),
     )
+
+
+def _check_free(number: int) -> None:
+    """Raise BadInputError if a program listens on the port, before the calibration takes its time."""
+    try:
+        listen(LOCALHOST, number).close()
+    except OSError as error:
+        raise BadInputError(f"port {number}", error.strerror or str(error)) from error
 
 
 def _broker(text: str) -> MqttSettings:

@@ -3,11 +3,14 @@
 import asyncio
 import contextlib
 import os
+import socket
 from pathlib import Path
 
 import pytest
 
 from altd.errors import BadInputError
+from hw_sim.__main__ import command_parser
+from hw_sim.demo import run
 from hw_sim.demo_folder import demo_folder
 from hw_sim.demo_lines import Line
 
@@ -42,6 +45,15 @@ def test_a_file_of_somebody_stays_and_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"altd: File exists"), demo_folder(tmp_path):
         pass
     assert (tmp_path / "altd").read_text() == "mine"
+
+
+@pytest.mark.parametrize("option", ["--http-port", "--modbus-port"])
+def test_a_taken_port_is_named_at_once(option: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        arguments = command_parser().parse_args(["demo", option, str(port)])
+        with pytest.raises(BadInputError, match=f"port {port}: Address already in use by "):
+            run(arguments)
 
 
 def test_a_path_that_is_too_long_for_a_socket_costs_only_the_socket(tmp_path: Path) -> None:
