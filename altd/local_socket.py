@@ -22,6 +22,7 @@ MAX_ANSWER_BYTES = 1 << 20
 """Maximum size of a response, which normally has a few thousand bytes."""
 
 _MIN_TIMEOUT_S = 1e-3
+_NOT_RUNNING = "the daemon is not running (start: `sudo systemctl start altd`)"
 
 
 class NoAnswerError(Exception):
@@ -64,11 +65,9 @@ def ask_content(
     except PermissionError as error:
         raise NoAnswerError(_who_may(path)) from error
     except FileNotFoundError as error:
-        raise NoAnswerError(
-            f"there is no socket {path}: the daemon does not run, or runs without [local]"
-        ) from error
+        raise NoAnswerError(f"there is no socket {path}: {_NOT_RUNNING}, or has no [local]") from error
     except ConnectionRefusedError as error:
-        raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
+        raise NoAnswerError(f"{_NOT_RUNNING}: nothing listens at {path}") from error
     except http.client.HTTPException as error:
         raise NoAnswerError(f"the server at {path} is not an altd daemon: {error}") from error
     except OSError as error:

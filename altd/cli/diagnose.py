@@ -10,7 +10,7 @@ from altd.cli.arguments import add_socket
 from altd.errors import BadInputError
 from altd.process.standard_streams import print_errors, print_lines
 
-SUMMARY = "write an archive for remote diagnostics, also while the daemon does not run"
+SUMMARY = "write an archive for remote diagnostics, also while the daemon is not running"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

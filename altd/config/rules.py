@@ -45,11 +45,11 @@ def _targets(draft: Draft) -> Iterator[Fault]:
             value = getattr(target, key)
             if (other := first.setdefault(value, number)) != number:
                 about: Keys = ("targets", other, key)
-                text = f"{shown(value)} is the {key} of targets.{other} too; possible: a different one"
+                text = f"{shown(value)} is already the {key} of targets.{other}; choose another"
                 yield Fault(("targets", number, key), text, about=(about,))
     for (before, nearer), (number, target) in itertools.pairwise(there):
         if target.z_mm <= nearer.z_mm:
-            text = f"{target.z_mm:g} is not behind targets.{before}; possible: above {nearer.z_mm:g}"
+            text = f"{target.z_mm:g} must exceed z_mm of targets.{before}, {nearer.z_mm:g}"
             yield Fault(("targets", number, "z_mm"), text, about=(("targets", before, "z_mm"),))
 
 
@@ -164,7 +164,7 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
         device = os.path.normpath(camera.device) if isinstance(camera.device, Path) else camera.device
         for key, value in (("device", device), ("serial", camera.serial)):
             if value is not None and (other := first.setdefault((key, value), name)) != name:
-                text = f"{shown(value)} is the {key} of camera {shown(other)} too; possible: another camera"
+                text = f"{shown(value)} is already the {key} of camera {shown(other)}; choose another camera"
                 yield Fault(("cameras", name, key), text, about=(("cameras", other, key),))
 
 
@@ -178,7 +178,7 @@ def _listeners(draft: Draft) -> Iterator[Fault]:
     for (first, one, port), (second, other, same) in itertools.combinations(listeners, 2):
         if port and port == same and overlap(one.host, other.host):
             about: tuple[Keys, ...] = ((first, "port"), (first, "host"), (second, "host"))
-            text = f"{port} is the port of [{first}] too; possible: another one"
+            text = f"port {port} is already used by [{first}]; choose another"
             yield Fault((second, "port"), text, about=about)
 
 
@@ -233,9 +233,7 @@ def _serial_ports(draft: Draft) -> Iterator[Fault]:
             places.append(((name, "device"), os.path.normpath(table.device)))
     for keys, device in places:
         if (other := first.setdefault(device, keys)) != keys:
-            text = (
-                f"{shown(device)} is the port of {'.'.join(map(str, other[:-1]))} too; possible: another port"
-            )
+            text = f"{shown(device)} is already used by {'.'.join(map(str, other[:-1]))}; choose another port"
             yield Fault(keys, text, about=(other,))
 
 
@@ -286,7 +284,7 @@ def _gpio_lines(draft: Draft) -> Iterator[Fault]:
     for keys, chip, line in places:
         if (other := first.setdefault((chip.removeprefix("/dev/"), line), keys)) != keys:
             where = ".".join(map(str, other))
-            text = f"{shown(line)} is the line of {where} too; possible: another line"
+            text = f"{shown(line)} is already the line of {where}; choose another"
             yield Fault(keys, text, about=(other, ("lamps", "chip"), ("indicators", "chip")))
 
 
@@ -297,9 +295,7 @@ def _thermometers(draft: Draft) -> Iterator[Fault]:
         if settings is None:
             continue
         if (other := first.setdefault(settings.name, number)) != number:
-            text = (
-                f"{shown(settings.name)} is the name of thermometers.{other} too; possible: a different one"
-            )
+            text = f"{shown(settings.name)} is already the name of thermometers.{other}; choose another"
             yield Fault(("thermometers", number, "name"), text, about=(("thermometers", other, "name"),))
         yield from _celsius((settings.min_celsius, settings.max_celsius), ("thermometers", number))
     of_frame = None if draft.installation is None else draft.installation.thermometer

@@ -74,7 +74,7 @@ class Plate(Table):
     def _check_leds(self) -> Self:
         for number, place in enumerate(self.leds_mm):
             if (first := self.leds_mm.index(place)) < number:
-                said = f"{list(place)} is the place of leds_mm.{first} too; possible: a different place"
+                said = f"{list(place)} is already the place of leds_mm.{first}; choose another"
                 raise complaint((("leds_mm",), said))
         return self
 

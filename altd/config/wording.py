@@ -49,7 +49,7 @@ class Fault:
 
 
 WHY = {
-    "string_type": "is not text in quotes",
+    "string_type": "is not text: write it in quotes",
     "string_unicode": "is not valid Unicode",
     "string_too_short": "is too short",
     "string_too_long": "is too long",
@@ -74,7 +74,7 @@ WHY = {
     "dict_type": "is not a table",
     "model_type": "is not a table",
     "model_attributes_type": "is not a table",
-    "path_type": "is not a path in quotes",
+    "path_type": "is not a path: write it in quotes",
     "path_from_text": "is not a path",
     "union_tag_invalid": "is not possible",
 }
@@ -154,7 +154,8 @@ def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
     else:
         why = UNUSABLE if what == "member" else WHY.get(kind, UNUSABLE)
         suggestion = _suggestion(kind, value, context)
-        yield Fault(keys, f"{shown(value)} {why}{_possible_values(keys, document)}{suggestion}")
+        possible = _possible_values(keys, document).removesuffix("; possible: text")
+        yield Fault(keys, f"{shown(value)} {why}{possible}{suggestion}")
 
 
 def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:

@@ -79,8 +79,8 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
     lacking = [name for name, value in wanted.items() if not value]
     subject = f"http {http.host}:{http.port}"
     if "allow" in lacking:
-        open_to = f"any computer that reaches it can read it without {', '.join(lacking)}"
-        text = f"{open_to}: acceptable in a network of its own"
+        text = f"any computer here can read this page (no {', no '.join(lacking)})"
+        text += ": acceptable only on a private network"
         yield Finding.warning(subject, text, "docs/http.md   # [http] allow, credentials, certificate")
     elif "TLS" in lacking and "credentials" not in lacking:
         text = "passwords and tokens are sent unencrypted, without TLS"

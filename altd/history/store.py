@@ -64,7 +64,7 @@ class Store:
             if (aside := set_aside(self.path, error)) is not None:
                 text = f"the history before is kept as {aside.name}: {error}"
                 self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
-                raise MovedFileError(f"{error}: moved to {aside}, a new history is begun") from error
+                raise MovedFileError(f"{error}: moved to {aside}, new history file created") from error
             if isinstance(error, TouchedFileError):
                 self._was_open = False  # its pages are checked before it is trusted again
                 self._unwritten.append(Notice(EventKind.HISTORY, f"the history {error}"))
@@ -134,7 +134,7 @@ class Store:
 
 
 def _begun(path: Path, is_new: bool) -> list[Notice]:
-    texts = ["a new history was begun"] if is_new else []
+    texts = ["new history file created"] if is_new else []
     if not is_private(path):
         texts.append("others may read the history, or write it: its permissions cannot be changed")
     return [Notice(EventKind.HISTORY, text, {"file": str(path)}) for text in texts]

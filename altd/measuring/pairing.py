@@ -174,7 +174,7 @@ class Pairer(Generic[Item]):
         self.late = 0
         """Number of items that arrived after their frame set was given up."""
         self.lost_pairs = 0
-        """Number of frame sets that lack a camera's frame, are out of step, or are gaps in the numbers."""
+        """Number of frame sets that lack a frame, are not synchronised, or are gaps in the numbers."""
 
     @property
     def lags_ns(self) -> Mapping[str, int]:

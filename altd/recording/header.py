@@ -244,15 +244,15 @@ class RecordingHeader(_Header):
             for number, value in enumerate(values):
                 if value in values[:number]:
                     first = values.index(value)
-                    raise ValueError(f"targets.{number}.{key}: {value!r} is the {key} of targets.{first} too")
+                    raise ValueError(f"targets.{number}.{key}: {value!r} is already that of targets.{first}")
         for number, target in enumerate(self.targets):
             if target.camera not in self.cameras:
                 raise ValueError(f"targets.{number}.camera: {target.camera!r} is not one of the cameras")
         for number, (nearer, target) in enumerate(itertools.pairwise(self.targets), start=1):
             if target.z_mm <= nearer.z_mm:
                 raise ValueError(
-                    f"targets.{number}.z_mm: {target.z_mm:g} is not behind targets.{number - 1}, "
-                    f"{nearer.z_mm:g}: targets must be in beam order"
+                    f"targets.{number}.z_mm: {target.z_mm:g} must exceed z_mm of "
+                    f"targets.{number - 1}, {nearer.z_mm:g}"
                 )
         return self
 

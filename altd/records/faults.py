@@ -17,7 +17,7 @@ class FaultCause(Enum):
 
     LEDS_LIT = (
         "the frame LEDs are lit",
-        "check `altd lamps on` and the wiring: frame LEDs are dark during a measurement",
+        "end `altd lamps on`, check the wiring: frame LEDs must be dark during a measurement",
     )
     TOO_DIM = "the spot is too dim", "clean the window, give the laser more power or expose longer"
     DOUBLE = "the spot is double", _CLEAN_THE_WINDOW
@@ -32,7 +32,7 @@ class FaultCause(Enum):
     )
     SEEN_IN_PART = "too little is seen of the spot", "bring the beam nearer to the middle"
     UNLIKE_SPOTS = (
-        "the spots of the targets are unlike",
+        "the spots on the targets differ",
         "look for objects in the beam, for reflections, and clean both targets",
     )
     UNCERTAIN_PLACE = (
@@ -47,8 +47,8 @@ class FaultCause(Enum):
     SWAPPED = "the cameras are swapped", "swap the cameras' cables"
     OTHER_TARGET = "the camera looks at another target", "swap the cameras' cables or calibrate again"
     OTHER_SURFACE = (
-        "the target looks otherwise than calibrated",
-        "clean it; was it or the camera exchanged?",
+        "the target does not look as calibrated",
+        "clean the target; if it or the camera was exchanged, calibrate again",
     )
     LATE_PICTURES = "one camera's pictures come late", "unplug the cameras and plug them in again"
     BUSY_COMPUTER = (

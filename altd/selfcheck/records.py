@@ -144,7 +144,7 @@ class DriftLimits:
 
     A drift counts by its effect on a measurement: ``…_mm`` on the position on any target, ``…_deg`` on yaw
     and pitch, at the beam's place and anywhere else in the calibrated area. Up to ``suspect_…`` the verdict
-    is good. ``release_share``: a verdict worse than good ends once the drift is below that share of its
+    is good. ``release_share``: suspect and bad clear once the drift is below that share of their
     limit. ``compensate_mm``: maximum correction of a position. ``min_leds``: with fewer LEDs the verdict is
     unknown.
     """

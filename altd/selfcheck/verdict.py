@@ -127,7 +127,7 @@ def compensation_of(
                 f"{limits.compensate_mm:g} mm are corrected at most"
             )
         if worst.sigma_mm > limits.suspect_mm:
-            return NotCorrected(f"{target.name}: the drift is known to {worst.sigma_mm:.3f} mm only")
+            return NotCorrected(f"{target.name}: the drift is uncertain by {worst.sigma_mm:.3f} mm")
         transforms[target.name] = drift.similarity
         misfit_px[target.name] = drift.rms_px
     return Compensation(transforms, misfit_px)
@@ -303,7 +303,8 @@ def _against(
     if previous in (Verdict.SUSPECT, Verdict.BAD):
         suspect *= limits.release_share
     error, sigma = worst.error_mm, worst.sigma_mm
-    reason = f"{what} {error:.3f} {unit}, known to {sigma:.3f} {unit}"
+    known = f"{sigma:.3f}" if sigma >= 0.0005 else "below 0.001"
+    reason = f"{what} {error:.3f} {unit}, uncertainty {known} {unit}".replace(" °", "°")
     verdict = Verdict.GOOD
     if significant and error > bad:
         verdict = Verdict.BAD

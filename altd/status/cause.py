@@ -14,7 +14,7 @@ Kind = Reason | Condition
 """Common type of both tables of causes: code, signal, brief, remedy, meaning."""
 
 HOLD_S = 2.0
-"""Time a cause is still shown after it was last true, s. Polling at 1 Hz sees every one, and a cause that
+"""Time a cause is still shown after it was last true, s. Polling once a second misses none, and a cause that
 toggles with the frames is one cause, not twenty per second."""
 
 MAINTENANCE_DELAY_S = 10.0

@@ -56,7 +56,7 @@ class Condition(StrEnum):
     FACE_FAILED = (
         "face_failed", _MAINTENANCE_REQUIRED,
         "a connection to the outside has failed",
-        "check the port or address that the component names",
+        "check that the port or address is free and right, and the cable",
         "Modbus, HTTP, MQTT, OPC UA or a serial port is not served; the other interfaces are right",
     )  # fmt: skip
     LAMPS_FAILED = (

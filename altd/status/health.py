@@ -37,7 +37,7 @@ class State(StrEnum):
 
 
 class CameraTrouble(Enum):
-    """Known trouble of a camera that does not deliver as it should, with its remedy."""
+    """Known trouble of a camera that loses frames or delivers none, with its remedy."""
 
     NOT_FOUND = "check its cable and power"
     BUSY = "end the program that uses it"
@@ -70,7 +70,7 @@ class ComponentReport:
 
     @property
     def is_faulty_camera(self) -> bool:
-        """Whether it is a camera that does not deliver as it should."""
+        """Whether it is a camera that loses frames or delivers none."""
         return self.kind == "camera" and self.state not in (State.OK, State.STARTING)
 
     def figure(self, name: str) -> float | None:

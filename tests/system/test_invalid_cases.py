@@ -109,7 +109,7 @@ REMEDIES = {
     Fault.OUT_OF_STEP: "check the trigger of the cameras",
     Fault.FRONT_SILENT: "check the camera's cable and supply",
     Fault.REAR_SILENT: "check the camera's cable and supply",
-    Fault.LEDS_ON: "check `altd lamps on`",
+    Fault.LEDS_ON: "end `altd lamps on`",
 }
 """The console's advice, by the cause that was seen."""
 

@@ -1,11 +1,15 @@
 """The table of reasons: its numbers are contracts, written down here once more."""
 
 import ast
+import re
 
 from support.places import ROOT
 
 from altd.publish.modbus.values import STATUS_BITS
 from altd.reasons import Reason, Scope, Signal, StatusGroup
+from altd.records import FaultCause
+from altd.status.conditions import Condition
+from altd.status.health import CameraTrouble
 
 CONTRACT = {
     "spot_missing": 1, "ambiguous": 2, "saturated": 3, "cut_by_edge": 4, "wrong_size": 5, "wrong_shape": 6,
@@ -64,6 +68,14 @@ def test_every_group_has_a_reason_and_every_reason_says_what_and_what_to_do() ->
     assert {reason.group for reason in Reason} == set(StatusGroup)
     assert all(reason.brief and reason.remedy and reason.meaning for reason in Reason)
     assert all(reason.brief.isascii() and reason.remedy.isascii() for reason in Reason)  # any terminal
+
+
+def test_no_remedy_sends_a_technician_back_to_the_screen_that_shows_it() -> None:
+    remedies = [kind.remedy for table in (Reason, Condition, FaultCause) for kind in table]
+    remedies += [trouble.value for trouble in CameraTrouble]
+    screens = re.compile(r"`(altd )?(status|watch)\b|\b(page|below|above|component)\b|(^|[,;:] )see |\?")
+    assert len(remedies) > 90
+    assert [remedy for remedy in remedies if screens.search(remedy)] == []
 
 
 NOT_WELL_BY_ITSELF = {

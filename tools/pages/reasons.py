@@ -91,7 +91,7 @@ Only `valid` of the measurement decides whether a number may be used.
 
 - A cause begins at once; one of maintenance after {MAINTENANCE_DELAY_S:g} s.
 - A cause ends when it has not been true for {HOLD_S:g} s ({MAINTENANCE_DELAY_S:g} s for maintenance). Polling
-  at 1 Hz sees every one. `active`: it is true now; `times`: how often it began.
+  once a second misses none. `active`: it is true now; `times`: how often it began.
 - For {START_S:g} s after the start, until the first valid measurement, closed cameras are no failure; the
   state is `{Signal.CHECK_FUNCTION}`. A component that has not started within {MAX_START_S:g} s is a cause.
 

@@ -165,9 +165,9 @@ class FrameKeeper:
         try:
             kept = await self._keep(why, fault_ns - self._before_ns, until_ns)
         except NotKeptError as error:
-            log.warning("the frames before %s are not kept: %s", why, error)
+            log.warning("the frames before %s are not saved: %s", why, error)
         else:
-            log.info("the frames before %s are kept as %s", why, kept.name)
+            log.info("the frames before %s are saved as %s", why, kept.name)
 
     async def _keep(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
         if self._waiting >= _MAX_WAITING:
@@ -187,7 +187,7 @@ class FrameKeeper:
             self._waiting -= 1
         self._component.count("kept")
         self._show_usage()
-        self._note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
+        self._note(f"{kept.seconds:.1f} s of frames saved: {why}", kept)
         return kept
 
     def _write(
@@ -200,7 +200,7 @@ class FrameKeeper:
         ring = self._source.ring
         frames = ring.between(since_ns, until_ns)
         if not frames and ring.between(until_ns + 1, self._clock.monotonic_ns()):
-            raise NotKeptError("the disk was busy for so long that the frames are gone from memory")
+            raise NotKeptError("the disk was too slow")
         if not frames:
             raise NoExposureError("no frames in the last seconds")
         start = self._clock.utc(frames[0].t_ns)

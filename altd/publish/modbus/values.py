@@ -47,7 +47,7 @@ STATUS_BITS = (
     StatusBit(3, "warming up", "not enough exposures yet, or no self-check", _of(StatusGroup.WARMING_UP)),
     StatusBit(4, "out of range", "a spot is outside the calibrated area", _of(StatusGroup.OUT_OF_RANGE)),
     StatusBit(
-        5, "out of step", "the cameras' exposures are not of the same instants", _of(StatusGroup.OUT_OF_STEP)
+        5, "not synchronised", "the cameras' exposures are at different times", _of(StatusGroup.OUT_OF_STEP)
     ),
     StatusBit(6, "unsteady", "the spots move too much to be averaged", _of(StatusGroup.UNSTEADY)),
     StatusBit(7, "exposures lost", "some exposures were not usable", _of(StatusGroup.EXPOSURES_LOST)),

@@ -54,4 +54,4 @@ def component_steps(components: Iterable[ComponentReport], status: Iterable[Faul
         if not is_faulty or _is_busy(component) or (component.name == MEASURING and has_fault):
             continue
         remedy = f": {component.trouble.value}" if component.trouble and component.is_faulty_camera else ""
-        yield f"{component.name} {component.state}: {component.message or 'no more is known'}{remedy}"
+        yield f"{component.name} {component.state}: {component.message or 'no details'}{remedy}"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from textwrap import fill
 from typing import NamedTuple
 
+from altd.errors import shown_in
 from altd.publish.serial.parts_text import (
     SPANS_S,
     Past,
@@ -191,7 +192,7 @@ def _self_check(sources: Sources, now: str = "") -> str | Question:
     if service.unavailable:
         return _none(service.unavailable)
     if now:
-        return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(sources))
+        return Question("The frame LEDs will light briefly. Start?", lambda: _ask(sources))
     if service.latest is None:
         return "no self-check since the unit started"
     return _result(service.latest)
@@ -215,7 +216,7 @@ def _ask(sources: Sources) -> str | Later:
 
 def _result(report: SelfCheckReport) -> str:
     time = "" if report.time is None else f"{utc_text(report.time)}: "
-    return fill(f"{time}{report.check.sentence}", WIDTH, subsequent_indent="  ")
+    return fill(shown_in("ascii", f"{time}{report.check.sentence}"), WIDTH, subsequent_indent="  ")
 
 
 def _none(why: str) -> str:
@@ -286,7 +287,7 @@ COMMANDS = {
         Command("history", "[day|month]", "the means of the last hour, day or month", _history),
         Command("log", "", "events of the unit, the newest first", _log),
         Command("version", "", "the software's version and the unit's serial number", _version),
-        Command("exit", "", "how to leave; the port has no session to end", _leave),
+        Command("exit", "", "how to close your terminal program", _leave),
         Command("quit", "", "the same", _leave),
         Command("?", "", "the same as help", _help),
         Command("*IDN?", "", "for programs: maker, kind, serial number, version", _identification),

@@ -84,7 +84,7 @@ def _percent(share: float) -> str:
 WIDTH = 79
 """Width of a line; some terminals would wrap a line of 80."""
 
-NO_MEASUREMENT = "no measurement so far: wait some seconds, then see `status`"
+NO_MEASUREMENT = "no measurement so far: wait, or type `health`"
 
 
 def measurement_text(measurement: Measurement | None, age_s: float | None = None) -> str:

@@ -293,7 +293,7 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
         (
             "[measuring]",
             "[plate]\nleds_mm = [[1, 2], [3, 4], [1, 2], [5, 5], [7, 8]]\n[measuring]",
-            "plate.leds_mm: [1.0, 2.0] is the place of leds_mm.0 too",
+            "plate.leds_mm: [1.0, 2.0] is already the place of leds_mm.0",
         ),
         ('"planar"', '"beam"', "targets: 0 tables [[targets]]; possible: 2 or more"),
     ],

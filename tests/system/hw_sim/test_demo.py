@@ -237,7 +237,7 @@ def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> No
         shows(command(telegram), "front_spot_missing+rear_spot_missing")
         shows(status, "  - no laser spot (front) [")
         shows(keep, '"why":"asked by http 127.0.0.1"')
-        kept = shows(f"{events} --follow", "frames are kept: spot_missing ")
+        kept = shows(f"{events} --follow", "frames saved: spot_missing ")
         assert b"front: no laser spot: " in kept
         first = "rear" if b"spot_missing rear" in kept else "front"  # a beam may go between their exposures
         shows(replay.replace("-front", f"-{first}"), ",false,front_spot_missing rear_spot_missing simulated,")

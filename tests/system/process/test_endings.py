@@ -54,7 +54,8 @@ DONE = {
     ),
     "status": (
         1,
-        r"altd status: there is no socket none.sock: the daemon does not run, or runs without \[local\]\n",
+        r"altd status: there is no socket none.sock: the daemon is not running "
+        r"\(start: `sudo systemctl start altd`\), or has no \[local\]\n",
         set(),
     ),
     "export": (0, "", {"t.csv"}),

@@ -175,7 +175,7 @@ async def test_a_unit_that_answers_slowly_is_not_asked_by_ever_more(tmp_path: Pa
         await asyncio.sleep(6.0)  # it asks each 5 s
         assert len(asked) == 1
         go_on.set()
-        await shown.get_by_text("a new history was begun").wait_for()
+        await shown.get_by_text("new history file created").wait_for()
 
 
 async def test_who_may_not_see_pictures_is_told_to_log_in(tmp_path: Path) -> None:

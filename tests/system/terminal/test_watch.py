@@ -127,7 +127,7 @@ class TestLoss:
             killed = time.monotonic()
             await_lines(screen, self.says_nothing)
             assert time.monotonic() - killed <= 2.0
-            screen.await_text("the daemon does not run: nothing listens", PATIENCE_S)
+            screen.await_text("the daemon is not running", PATIENCE_S)
             unit.daemon.process.wait()
             with local_daemon(played_unit, tmp_path):
                 screen.await_text("PLAYBACK, ", PATIENCE_S)

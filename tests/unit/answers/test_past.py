@@ -204,7 +204,7 @@ class TestEvents:
             "2026-11-20T08:00:01.000Z began       no laser\\x1b[2J spot",
             "2026-11-20T08:00:02.000Z request     a self-check was asked for",
         ]
-        assert lines[0].endswith("history     a new history was begun")
+        assert lines[0].endswith("history     new history file created")
 
     def test_of_a_kind_and_a_time(self, history: Path) -> None:
         said = altd_here("events", "--history", history, "--kind", "request", "--format", "jsonl")

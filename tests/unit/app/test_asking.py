@@ -177,7 +177,7 @@ def test_where_neither_answers_both_are_told(tmp_path: Path) -> None:
     said = altd_here("selfcheck", "--config", path)
     assert (said.status, said.out) == (1, "")
     (line,) = said.err.splitlines()
-    assert line.startswith(f"altd selfcheck: there is no socket {tmp_path}/s: the daemon does not run, ")
+    assert line.startswith(f"altd selfcheck: there is no socket {tmp_path}/s: the daemon is not running ")
     assert "no daemon answers at 127.0.0.1 port 9: " in line
 
 

@@ -67,7 +67,7 @@ def test_a_stopped_unit_has_diagnostics_of_its_files(
     name, archive, why = diagnose(tmp_path / "altd.toml", None, [doctor], steps.append)
     files = content_of(archive)
     assert re.fullmatch(r"altd-TEST-1-\d{8}T\d{6}Z\.zip", name)
-    assert "the daemon does not run" in why
+    assert "the daemon is not running" in why
     assert why in files["daemon.txt"]
     of_files = {"events.jsonl", "trend.csv"}
     of_files |= {"doctor.txt", "journal.txt", "calibration.txt"}

@@ -18,12 +18,12 @@ glass_mm = «-4.0                     # -4.0 is too small; possible:
 glass_index = «0.9                   # 0.9 is too small; possible:
 glass_index = «1.5                   # there is no glass_mm;
 [targets.1]
-name = «"front"                      # "front" is the name of targets.0 too
+name = «"front"                      # "front" is already the name of targets.0; choose another
 z_mm = «"far"                        # "far" is not a number; possible: number from -100000 to 100000
-z_mm = «0.0                          # 0 is not behind targets.0; possible: above 0
-z_mm = «-280.0                       # -280 is not behind targets.0
+z_mm = «0.0                          # 0 must exceed z_mm of targets.0, 0
+z_mm = «-280.0                       # -280 must exceed z_mm of targets.0, 0
 camera = «"raer"                     # no table [cameras.raer];
-camera = «"front"                    # "front" is the camera of targets.0 too
+camera = «"front"                    # "front" is already the camera of targets.0; choose another
 camera = «"third"                    # there is no table [cameras.third]; possible: "front", "rear"
 -z_mm                                # this key is missing; possible: number
 [cameras.front]
@@ -86,7 +86,7 @@ allow = [«"plant", "fd00::/8"]       # .0: is not a network
 allow = [«"::ffff:10.0.0.0/104", "fd00::/8"] # .0: write it as IPv4
 names = [«"http://alt-0007.plant.example"] # .0: is not a host name
 allow = «"10.0.0.0/8"                # ; did you mean `["10.0.0.0/8"]`?
-port = «502                          # 502 is the port of [modbus_tcp] too
+port = «502                          # port 502 is already used by [modbus_tcp]; choose another
 port = «70000                        # 70000 is too large; possible: whole number from 0 to 65535
 «allow_self_check = true             # it is a key of [modbus_tcp]
 key = «"unit.key"; -certificate      # is set without certificate
@@ -110,8 +110,8 @@ sparkplug = {group = "4", node = «"+"}; -home_assistant # .node: is not an iden
 certificate; -ca                     # is set without ca; possible: both
 certificate; -key                    # is set without key; possible: both
 [opcua]
-port = «502                          # 502 is the port of [modbus_tcp] too
-port = «8080                         # 8080 is the port of [http] too
+port = «502                          # port 502 is already used by [modbus_tcp]; choose another
+port = «8080                         # port 8080 is already used by [http]; choose another
 certificate; -key                    # is set without key; possible: both
 credentials; -certificate; -key      # is set without certificate; possible: both
 [local]
@@ -127,20 +127,20 @@ identify_every_s = «0.5              # 0.5 is too small; possible: number from 
 [serial.0.rs485]
 delay_before_ms = «101               # 101 is too large
 [serial.1]
-device = «"/dev/ttyS0"               # is the port of serial.0 too
-device = «"/dev/../dev/ttyS0"        # is the port of serial.0 too
+device = «"/dev/ttyS0"               # is already used by serial.0; choose another port
+device = «"/dev/../dev/ttyS0"        # is already used by serial.0; choose another port
 «unit_id = 1 # it is a key of [modbus_tcp] and of [[serial]] with speaks = "modbus_rtu"
 parity = «"mark"                     # possible: "none" or "even" or "odd"
 «checked = true                      # with speaks = "telegram"
 [lamps]
-lines = ["LED_FRONT", «"LED_FRONT"]  # .1: is the line of lamps.lines.0 too
+lines = ["LED_FRONT", «"LED_FRONT"]  # .1: is already the line of lamps.lines.0; choose another
 lines = «[]                          # a list has too few elements; possible: list of 1 or more
 [indicators]
-error = «"LED_REAR"                  # is the line of lamps.lines.1 too
-ok = «"GPIO6"                        # is the line of indicators.error too
+error = «"LED_REAR"                  # is already the line of lamps.lines.1; choose another
+ok = «"GPIO6"                        # is already the line of indicators.error; choose another
 [inclinometer]
 driver = «"balluff"                  # possible: "balluff_bsi_r11a0" or "witm
-device = «"/dev/ttyS1"               # is the port of serial.1 too
+device = «"/dev/ttyS1"               # is already used by serial.1; choose another port
 max_roll_deg = «180.0                # number above 0 to 90
 device = «"ttyUSB1"                  # "ttyUSB1" is not the path of a device
 baud = «9601                         # 9601 is not possible; possible: 4800 or 9600 or 19200
@@ -181,7 +181,7 @@ max_celsius = «201                   # 201 is too large
 -name                                # this key is missing
 -chip                                # this key is missing; possible: text
 [thermometers.1]
-name = «"housing"                    # is the name of thermometers.0 too
+name = «"housing"                    # is already the name of thermometers.0; choose another
 channel = «0                         # 0 is too small
 channel = «100                       # 100 is too large; possible: whole number from 1
 min_celsius = «-101                  # -101 is too small
@@ -198,7 +198,7 @@ max_residual_share = «0              # 0 is too small; possible: number above 0
 max_residual_share = «1.1            # 1.1 is too large
 «min_light = 0.5                     # did you mean `min_light_share`?
 [stage]
-device = «"/dev/ttyS1"               # is the port of serial.1 too
+device = «"/dev/ttyS1"               # is already used by serial.1; choose another port
 start = «"homing"                    # did you mean `home`?
 feed_mm_per_min = «0                 # possible: number above 0
 «speed = 3                           # there is no such key

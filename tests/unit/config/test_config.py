@@ -52,7 +52,7 @@ def test_modbus_has_the_port_of_its_specification_and_its_files_lie_beside_the_c
     assert secured.port_or_default == 802
     assert (secured.certificate, secured.client_ca) == (tmp_path / "u.pem", tmp_path / "ca.pem")
     http = "[http]\nport = 802\n"
-    assert "802 is the port of [modbus_tcp] too" in complaint(
+    assert "port 802 is already used by [modbus_tcp]" in complaint(
         write(tmp_path, f"{GOOD}\n{http}[modbus_tcp]\n{files}")
     )
 

@@ -102,7 +102,7 @@ FAULTS = (
         ROW + GPIOD,
         '"GLASS_2"',
         '"GLASS_1"',
-        'switches.lines.1: "GLASS_1" is the line of switches.lines.0 too',
+        'switches.lines.1: "GLASS_1" is already the line of switches.lines.0',
     ),
     (
         ROW + CAMERA,
@@ -173,7 +173,7 @@ FAULTS = (
         BEAM + ONE_LINE,
         "[switches]",
         '[lamps]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["GLASS_1"]\n\n[switches]',
-        'switches.lines.0: "GLASS_1" is the line of lamps.lines.0 too; possible: another line',
+        'switches.lines.0: "GLASS_1" is already the line of lamps.lines.0; choose another',
     ),
 )
 

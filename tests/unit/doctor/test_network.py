@@ -177,8 +177,8 @@ class TestListening:
         known, tls = {"credentials": "c"}, {"certificate": "c.pem", "key": "c.key"}
         (finding,) = said()
         assert finding.verdict is Verdict.WARNING
-        assert "without allow, credentials, TLS" in finding.text
-        assert "without allow, TLS" in said(**known)[0].text
+        assert "(no allow, no credentials, no TLS)" in finding.text
+        assert "(no allow, no TLS)" in said(**known)[0].text
         assert "unencrypted, without TLS" in said(allow=["10.0.0.0/8"], **known)[0].text
         assert said(allow=["10.0.0.0/8"]) == said(allow=["10.0.0.0/8"], **known, **tls) == []
         for own in ("127.0.0.1", "localhost", "::1"):

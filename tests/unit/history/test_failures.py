@@ -40,7 +40,7 @@ def test_a_damaged_file_is_moved_aside_and_a_new_one_begun(tmp_path: Path) -> No
     with pytest.raises(MovedFileError) as moved:
         writing.write(batch(START_S))
     (aside,) = tmp_path.glob("history.db.damaged-*")
-    assert str(moved.value) == f"file is not a database: moved to {aside}, a new history is begun"
+    assert str(moved.value) == f"file is not a database: moved to {aside}, new history file created"
     assert aside.read_bytes() == b"no database at all" * 100
     written = writing.write(batch(START_S + 1, [sample(START_S, sequence=5)]))
     writing.end(None)

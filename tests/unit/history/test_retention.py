@@ -100,7 +100,7 @@ def test_the_size_is_bounded_seconds_go_before_minutes_and_it_is_said(tmp_path: 
         assert files < limit
     writing.end(None)
     texts = [notice.text for notice in notices if notice.kind is EventKind.HISTORY]
-    assert texts == ["a new history was begun", "to free space, the oldest seconds were deleted"]
+    assert texts == ["new history file created", "to free space, the oldest seconds were deleted"]
     with read(tmp_path) as reader:
         seconds = [row.t_us // US - START_S for row in reader.summaries(SECONDS, 0, 2**62)]
         assert len(list(reader.summaries(MINUTES, 0, 2**62))) == -(-80 * 400 // 60)

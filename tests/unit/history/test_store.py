@@ -207,7 +207,7 @@ class TestStart:
         return [(str(notice.kind), notice.text) for notice in written.notices]
 
     def test_the_first_one_says_that_it_begins(self, tmp_path: Path) -> None:
-        assert self.notices(tmp_path) == [("history", "a new history was begun")]
+        assert self.notices(tmp_path) == [("history", "new history file created")]
         assert self.notices(tmp_path) == []
 
     def test_one_after_another_that_was_not_ended_says_so(self, tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_no_daemon_is_said_so(tmp_path: Path) -> None:
         ask(tmp_path / "s", "/", 1.0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
         dead.bind(str(tmp_path / "s"))
-    with pytest.raises(NoAnswerError, match=f"the daemon does not run: nothing listens at {tmp_path}/s"):
+    with pytest.raises(NoAnswerError, match=f"the daemon is not running .*: nothing listens at {tmp_path}/s"):
         ask(tmp_path / "s", "/", 1.0)
     with pytest.raises(NoAnswerError, match="no daemon answers at"):
         ask(tmp_path / ("x" * 200), "/", 1.0)

@@ -49,16 +49,16 @@ def test_with_the_key_it_alone_decides_and_no_distance_is_needed() -> None:
 @pytest.mark.parametrize(
     ("targets", "complaint"),
     [
-        ([seen("x", 0.0, "a"), seen("x", 1.0, "b")], "targets.1.name: 'x' is the name of targets.0 too"),
-        ([seen("x", 0.0, "b"), seen("y", 1.0, "b")], "targets.1.camera: 'b' is the camera of targets.0 too"),
+        ([seen("x", 0.0, "a"), seen("x", 1.0, "b")], "targets.1.name: 'x' is already that of targets.0"),
+        ([seen("x", 0.0, "b"), seen("y", 1.0, "b")], "targets.1.camera: 'b' is already that of targets.0"),
         ([seen("x", 0.0, "a"), seen("y", 1.0, "c")], "targets.1.camera: 'c' is not one of the cameras"),
         (
             [seen("x", 0.0, "a"), seen("y", 0.0, "b")],
-            "targets.1.z_mm: 0 is not behind targets.0, 0: targets must be in beam order",
+            "targets.1.z_mm: 0 must exceed z_mm of targets.0, 0",
         ),
         (
             [seen("x", 280.0, "a"), seen("y", -1.5, "b")],
-            "targets.1.z_mm: -1.5 is not behind targets.0, 280: targets must be in beam order",
+            "targets.1.z_mm: -1.5 must exceed z_mm of targets.0, 280",
         ),
         ([], "targets: Tuple should have at least 1 item"),
         ([{"name": "x", "camera": "a"}], "targets.0.z_mm: Field required"),

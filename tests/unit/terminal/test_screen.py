@@ -154,9 +154,9 @@ def test_what_was_known_is_gone_when_nobody_answers(page: int) -> None:
 @pytest.mark.parametrize("page", range(len(PAGES)))
 def test_it_is_gone_at_once_when_the_daemon_ends_and_back_when_it_answers(page: int) -> None:
     knowledge = after_a_minute()
-    knowledge.set_lost("the daemon does not run: nothing listens at /run/altd/altd.sock")
+    knowledge.set_lost("the daemon is not running: nothing listens at /run/altd/altd.sock")
     gone = screen(knowledge, LAST_S, page=page)
-    why = "the daemon does not run: nothing listens at /run/altd/altd.sock; it is asked again and again"
+    why = "the daemon is not running: nothing listens at /run/altd/altd.sock; it is asked again and again"
     assert " ".join(gone.split("\n")[1:3]) == why
     assert not any(known in gone for known in ("35.012", "VALID", "ALT-0007", "dust"))
     hear(knowledge, measurement(), LAST_S + 1)

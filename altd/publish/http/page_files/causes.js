@@ -64,7 +64,7 @@ export function Availability({ status }) {
   if (!availability) return null;
   const share = span => span?.share == null ? "–" : `${(100 * span.share).toFixed(2)} %`;
   const known = (span, name) => span?.observed_s < WHOLE_S[name] && html` <small>of ${duration(span.observed_s)}</small>`;
-  return html`<section aria-labelledby="availability-title"><h2 id="availability-title">Time valid</h2>
+  return html`<section aria-labelledby="availability-title"><h2 id="availability-title">Share of time with valid values</h2>
     <dl class="facts">${["last_hour", "last_day", "last_31_days", "since_start"].map(span => html`<div key=${span}><dt>${words(span)}</dt>
       <dd>${share(availability[span])}${known(availability[span], span)}</dd></div>`)}</dl></section>`;
 }

@@ -424,6 +424,6 @@ async def test_recordings_that_wait_for_one_another_hold_no_frames(
         assert not [each for each in frames if each() is not None]
     disk.goes_on.set()
     assert (await first).exposures == 20
-    with pytest.raises(NotKeptError, match="the frames are gone from memory"):
+    with pytest.raises(NotKeptError, match="the disk was too slow"):
         await second
     assert (await third).exposures == 21, "the second that the memory still holds of its two"

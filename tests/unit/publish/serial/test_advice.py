@@ -58,7 +58,7 @@ def test_leds_that_shine_at_their_places_are_told_from_other_lasers() -> None:
         told = with_leds_as_cause(spot, lit, len(LEDS))
         assert (told.reason, told.cause) == (spot.reason, FaultCause.LEDS_LIT)
         assert told.detail == f"the frame LEDs are lit, {lit} of 6 shine at their places"
-        assert "check `altd lamps on`" in remedy_of(told)
+        assert "end `altd lamps on`" in remedy_of(told)
 
 
 def test_light_that_is_no_led_is_not_taken_for_them() -> None:

@@ -116,7 +116,7 @@ class TestParts:
             "front  no place known",
             "rear   no place known",
         ]
-        assert answer("spots", None) == ["no measurement so far: wait some seconds, then see `status`"]
+        assert answer("spots", None) == ["no measurement so far: wait, or type `health`"]
 
     def test_health_tells_what_components_say_and_count(self) -> None:
         lines = answer("health")

@@ -85,7 +85,7 @@ def test_measure_shows_no_number_when_there_is_none() -> None:
 
 
 def test_measure_says_that_nothing_was_measured_so_far() -> None:
-    assert answer("measure", None) == ["no measurement so far: wait some seconds, then see `status`"]
+    assert answer("measure", None) == ["no measurement so far: wait, or type `health`"]
 
 
 def test_a_playback_is_told_with_every_measurement() -> None:
@@ -148,14 +148,14 @@ class TestSelfCheck:
         unit.self_check.open(lambda: asked.append(True))
         typed = Console(unit)
         assert b"no self-check since the unit started" in typed.feed(b"selfcheck\r")
-        reason = "front: shift 1.20 px, " + "which is a great deal more than anybody allows " * 3
+        reason = "front: shift 1.20 px, 0.061°, " + "which is a great deal more than anybody allows " * 3
         time = datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)
         unit.self_check.publish(checked(1, reason.strip(), verdict="bad", time=time))
         shown = typed.feed(b"selfcheck\r").decode("ascii")
-        assert "\r\n2026-11-20T08:15:30.125Z: bad: front: shift 1.20 px" in shown
+        assert "\r\n2026-11-20T08:15:30.125Z: bad: front: shift 1.20 px, 0.061 deg, which" in shown
         assert "anybody allows\r\n>" in shown  # nothing of it is cut off
         assert not asked
-        assert typed.feed(b"SELFCHECK Now\r").endswith(b"check now? (y: yes) ")
+        assert typed.feed(b"SELFCHECK Now\r").endswith(b"Start? (y: yes) ")
         assert not asked
         assert b"checking" in typed.feed(b"y")
         assert asked == [True]
