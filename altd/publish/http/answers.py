@@ -21,6 +21,7 @@ from altd.publish.http.metrics import CONTENT_TYPE, Metrics
 from altd.publish.http.models import Alive, Error, Login, Ready, Session
 from altd.publish.http.past import Past
 from altd.publish.http.pictures import Viewers
+from altd.publish.http.reasons_page import reasons_page
 from altd.publish.http.recordings import Downloads, Recordings, head_of
 from altd.publish.http.stream import EventStream, Resuming, Streams
 from altd.reasons import Reason
@@ -127,6 +128,7 @@ class Answers:
         self._stamps = Stamps(unit.board, component.name)
         self._metrics = Metrics(unit)
         self._page = page_of(unit.board.quantities)
+        self._reasons = reasons_page()
         self._page_files = page_files()
         self.streams = Streams(unit.board, component, self._stamps)
         self.self_check = unit.self_check
@@ -140,6 +142,10 @@ class Answers:
     async def index(self, _: Request) -> Response:
         """Return the page."""
         return HTMLResponse(self._page, headers={"Content-Security-Policy": POLICY})
+
+    async def reasons(self, _: Request) -> Response:
+        """Return the page of all causes."""
+        return HTMLResponse(self._reasons, headers={"Content-Security-Policy": POLICY})
 
     async def page_file(self, request: Request) -> Response:
         """Return a script or a style of the page."""

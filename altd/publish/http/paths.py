@@ -202,6 +202,11 @@ PATHS = (
     ServedPath(
         "/", "the page in a browser", {"GET": Operation(Answers.index, "The unit's page", media_type=HTML)}
     ),
+    ServedPath(
+        "/reasons",
+        "each cause in words, with its remedy; `#CODE` is its place",
+        {"GET": Operation(Answers.reasons, "The page of all causes", media_type=HTML)},
+    ),
     ServedPath("/api/measurement", "the latest measurement", _MEASUREMENT),
     ServedPath("/api/status", "the unit, its state and causes, availability, components", _STATUS),
     ServedPath("/api/self-check", "the last self-check; `POST`: makes one now", _SELF_CHECK),

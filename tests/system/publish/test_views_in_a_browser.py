@@ -112,6 +112,14 @@ async def test_numbers_and_the_cause_of_a_fault_are_on_the_first_screen(
             await shown.page.set_viewport_size(size)
             await on_first_screen(shown, ".causes li strong", ".causes li .remedy", *numbers)
             assert await shown.page.evaluate("document.documentElement.scrollHeight - innerHeight") <= 0
+        await shown.page.set_viewport_size({"width": 390, "height": 844})
+        for link in ("#cause a", ".causes li a"):  # to its explanation, which the unit itself has
+            await shown.open()
+            await shown.page.locator(link).filter(has_text="no laser spot").first.click()
+            entry = shown.page.locator("li:target")
+            await entry.get_by_text("nothing is brighter than the background").wait_for()
+            assert (await entry.bounding_box() or {"y": -1})["y"] > 0
+            assert (await shown.now())["overflow"] <= 0
 
 
 async def test_a_moving_beam_is_shown_with_both_uncertainties(

@@ -11,14 +11,16 @@ const named = cause => html`${cause.brief}${cause.of ? html` <em>(${cause.of})</
 const activeIn = status => (status?.state?.causes ?? []).filter(cause => cause.active && cause.code !== "rehearsal")
   .sort((one, other) => isOrigin(one) - isOrigin(other));
 
+// To its explanation, on the unit itself.
+const explained = ({ code }) => `reasons#${code}`;
+
 // The worst cause and its remedy in one line. No duration is in it, so that a screen reader repeats it only if it changes.
 export function Worst({ words: lost, measurement, status, last }) {
   const remedy = REMEDIES[lost], [worst] = activeIn(remedy ? last?.status : status);
-  if (remedy && last) return html`${remedy} Last known state, ${utc(new Date(last.at).toISOString()).slice(0, 16)} UTC: ${
-    words(last.status.state?.signal ?? "not known")}${worst && html`, ${named(worst)}`}`;
-  if (remedy) return remedy;
-  if (worst) return html`<strong>${named(worst)}</strong>: ${worst.remedy}`;
-  return measurement && !measurement.valid ? measurement.status.map(words).join(", ") : status?.state ? "no fault" : "state not known";
+  if (remedy && last) return html`<span>${remedy} Last known state, ${utc(new Date(last.at).toISOString()).slice(0, 16)} UTC: ${
+    words(last.status.state?.signal ?? "not known")}${worst && html`, ${named(worst)}`}</span>`;
+  if (worst && !remedy) return html`<a href=${explained(worst)}><span><strong>${named(worst)}</strong>: ${worst.remedy}</span></a>`;
+  return html`<span>${remedy ?? (measurement && !measurement.valid ? measurement.status.map(words).join(", ") : status?.state ? "no fault" : "state not known")}</span>`;
 }
 
 // The worst signal; without that of simulated frames, which the verdict names already.
@@ -45,14 +47,15 @@ export function Causes({ status, isFar }) {
     ${status?.state && (badge || more > 0) && html`<p class="state">${badge} ${badge && !known.some(isOrigin) && `for ${duration(status.state.for_s)}`}
       ${more > 0 && html` <a href="#">${counted(more, "more cause")}</a>`}</p>`}
     <ul>
-      ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.active ? cause.signal : "ended"} data-code=${cause.code}>
+      ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.active ? cause.signal : "ended"} data-code=${cause.code}><a href=${explained(cause)}>
         <strong><span aria-hidden="true">${SIGNALS[cause.signal]?.mark}</span> ${named(cause)}</strong>
         <span class="remedy">${cause.remedy}</span>
         <small>${cause.detail ? `${cause.detail}; ` : ""}<code>${cause.code}</code>, ${cause.active ? "for" : "ended; began"} ${duration(cause.for_s)}${cause.active ? "" : " ago"}${
           cause.times > 1 ? `, ${cause.times} times` : ""}</small>
-      </li>`)}
+      </a></li>`)}
     </ul>
     ${status?.state && causes.length === 0 && html`<p>no fault</p>`}
+    ${!isFar && html`<p><a href="reasons">All reasons</a></p>`}
   </section>`;
 }
 

@@ -77,7 +77,7 @@ function Page() {
     <header>
       <h1>Active Laser Target <span id="serial">${unit.current}</span></h1>
       <div class="now"><div id="verdict" class=${verdict.kind}>${verdict.text}</div><${Badge} status=${status} />
-        <p id="cause" role="status"><span><${Worst} ...${known} /></span></p></div>
+        <p id="cause" role="status"><${Worst} ...${known} /></p></div>
       <nav aria-label="views">${Object.entries(VIEWS).map(([name, title]) => html`<a key=${name} href=${`#${name}`}
         aria-current=${view === name ? "page" : undefined}>${title}</a>`)}</nav>
     </header>

@@ -76,7 +76,7 @@ export function Events({ kept, mayLook }) {
       <thead><tr><th scope="col">UTC</th><th scope="col">Event</th><th scope="col">Part</th><th scope="col">Message</th></tr></thead>
       <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.kind === "cause_went" ? 0 : event.severity}`}>
         <td>${utc(event.time)}</td><td>${KINDS[event.kind] ?? words(event.kind)}</td><td>${event.of ?? ""}</td>
-        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}
+        <td>${event.kind in KINDS ? html`<a href=${`reasons#${event.detail.code}`}>${event.text}</a>` : event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}
           <${Frames} name=${event.detail.recording} kept=${kept} mayLook=${mayLook} /></td></tr>`)}</tbody>
     </table></div>
     ${before && html`<button type="button" onClick=${() => setBefore(null)}>newest</button>`}

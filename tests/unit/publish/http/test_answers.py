@@ -1,6 +1,7 @@
 """Answers of each path, over real sockets, and the page in docs that lists them."""
 
 import hashlib
+import html
 import json
 import math
 import re
@@ -20,6 +21,7 @@ from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
+from altd.status.conditions import Condition
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.state import UnitState
@@ -94,6 +96,24 @@ async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
         assert (await unit.ask(f"/{path}")).status == 200
     linked = set(re.findall(r'href="(api[^"]*)"', text))
     assert linked <= {path.path.removeprefix("/") for path in PATHS}
+
+
+async def test_each_cause_is_explained_at_its_code_by_the_unit_itself(unit: Unit) -> None:
+    answer = await unit.ask("/reasons")
+    text = html.unescape(re.sub("</?code>", "`", answer.body.decode()))
+    assert (
+        answer.headers["content-security-policy"] == (await unit.ask("/")).headers["content-security-policy"]
+    )
+    assert set(re.findall(r'(?:src|href)="([^"]*)"', text)) == {"data:,", "page/style.css", "./"}
+    entries = dict(re.findall(r'<li id="(\w+)" .*?>(.*)</li>', text))
+    assert list(entries) == [
+        *(each for each in Reason if not each.is_warning),
+        *(each for each in Reason if each.is_warning),
+        *Condition,
+    ]
+    for kind in (*Reason, *Condition):
+        for words in (kind.brief, kind.remedy, kind.meaning):
+            assert words in entries[kind]
 
 
 async def test_every_file_of_the_page_is_served_as_what_it_is(unit: Unit) -> None:
