@@ -50,12 +50,13 @@ from altd.measuring.chain import MeasuringChain
 from altd.measuring.frame_chain import Provenance, Seen
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, origin_faults
-from altd.runtime.clock import SystemClock
+from altd.runtime.clock import SystemClock, time_zone
 from altd.runtime.computer import watch_computer
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
 from altd.status.health import COMPUTER, MEASURING, Health, State
+from altd.status.maintenance import due_date
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
 from altd.status.unit import PublishedUnit, UnitFacts
@@ -97,6 +98,8 @@ class Daemon:
             unit_number=f"{identity.unit:08X}",
             spot_fit=kernel.description,
             calibration=_about(calibration),
+            calibration_valid_until=due_date(calibration.created, config.maintenance.calibration_due_days),
+            time_zone=time_zone(),
         )
         self.health = Health(self.clock)
         self.reloading: Reloading | None = None

@@ -5,8 +5,22 @@ from __future__ import annotations
 import asyncio
 import time
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from altd.ports import Stop
+
+
+def time_zone(link: Path = Path("/etc/localtime")) -> str:
+    """Return the IANA name of the computer's time zone, as tzset(3) and systemd know it.
+
+    Empty: UTC, or not known because the file is missing or is no link.
+    """
+    try:
+        _, is_known, name = str(link.readlink()).rpartition("/zoneinfo/")
+    except OSError:
+        return ""
+    is_utc = name.rpartition("/")[2] in ("UTC", "UCT", "Universal", "Zulu")
+    return "" if is_utc or not is_known else name
 
 
 class SystemClock:

@@ -29,6 +29,14 @@ _MAX_CLOCK_ERROR = timedelta(days=1)
 """Maximum clock error: time zones and slow clocks explain a day; above it, the clock was never set."""
 
 
+def due_date(created: datetime, due_days: float) -> str:
+    """Return the date, UTC, until which a calibration is valid; empty: after the year 9999."""
+    try:
+        return f"{created + timedelta(days=due_days):%Y-%m-%d}"
+    except OverflowError:
+        return ""
+
+
 class CalibrationAge:
     """Whether the calibration is due, by the time of day because it was made on another computer.
 

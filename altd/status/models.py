@@ -96,11 +96,24 @@ class Component(Answer):
     """Time since its state last changed, s."""
 
 
+class SetZero(Answer):
+    """The zero of relative values for controllers."""
+
+    count: int
+    """Number of zeros set since the daemon started."""
+    by: str
+    """Interface and client that requested it."""
+    time: str | None
+    """Time of the measurement used as zero, UTC."""
+
+
 class Status(UnitFacts):
-    """Identity of the unit, its state, its availability and its components."""
+    """Identity of the unit, its state, its availability, its zero and its components."""
 
     state: UnitState | None = None
     availability: Availability | None = None
+    zero: SetZero | None = None
+    """The zero; null: none was set since the daemon started."""
     components: dict[str, Component]
 
 
@@ -120,7 +133,11 @@ def status_of(view: UnitView) -> Status:
     }
     report = view.state
     state = {} if report is None else {"state": state_of(report), "availability": availability_of(report)}
-    return Status.model_validate({**view.facts.known, **state, "components": components})
+    zero = None
+    if (measurement := view.zero.measurement) is not None:
+        time = None if measurement.time is None else utc_text(measurement.time)
+        zero = SetZero(count=view.zero.count, by=view.zero.by, time=time)
+    return Status.model_validate({**view.facts.known, **state, "zero": zero, "components": components})
 
 
 class TargetDrift(Answer):

@@ -35,6 +35,10 @@ class UnitFacts(Answer):
     spot_fit: str = ""
     """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
     calibration: str = ""
+    calibration_valid_until: str = ""
+    """Date at which the calibration is `calibration_due_days` old, UTC."""
+    time_zone: str = ""
+    """IANA name of the computer's time zone, for people: all times are UTC. Empty also if it is UTC."""
     config_sha256: str = ""
     """SHA-256 of the config file as the daemon read it."""
 

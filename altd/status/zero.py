@@ -32,6 +32,8 @@ class ZeroState:
     """Number of zeros set since the daemon started."""
     next_number: int
     """Number with which the next zero is set."""
+    by: str = ""
+    """Interface and client that requested it; empty: no zero was set."""
 
     def difference(self, key: str, measurement: Measurement | None) -> Value | None:
         """Return a quantity of ``measurement`` minus that of the zero; None: one of the two is not known.
@@ -70,5 +72,5 @@ class Zero:
         if measurement is None or not measurement.valid:
             raise NoZeroError("the measurement is not valid")
         count, next_number = self.state.count + 1, (self.state.next_number + 1) % _NUMBERS
-        self.state = ZeroState(measurement, count, next_number)
+        self.state = ZeroState(measurement, count, next_number, by)
         self._events.note(EventKind.REQUEST, f"zero {count} was set", by)

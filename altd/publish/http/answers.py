@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.publish.http.calibration import LoadedCalibration
 from altd.publish.http.clients import MAX_WAITING, SELF_CHECK_WAIT_S
+from altd.publish.http.compression import compressed
 from altd.publish.http.diagnostics import Diagnostics
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard, session_cookie
@@ -51,6 +53,8 @@ class PageFile:
 
     media_type: str
     content: bytes
+    packed: bytes
+    """Content as gzip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +69,19 @@ def page_of(quantities: Quantities) -> str:
     """Return the HTML of the page, which shows numbers with one decimal fewer than the JSON."""
     page = (_FOLDER / "index.html").read_text(encoding="utf-8")
     document = json.dumps([_facts(quantity, quantities) for quantity in quantities.of_unit])
+    scripts = [name for name in page_files() if name.endswith(".js") and "uPlot" not in name]
+    early = "".join(f'<link rel="modulepreload" href="page/{name}">\n' for name in scripts)
     # only this character can end a script element, in which entities are not decoded
-    return page.replace("{/* quantities */}", document.replace("<", "\\u003c"))
+    page = page.replace("{/* quantities */}", document.replace("<", "\\u003c"))
+    return page.replace("</head>", early + "</head>")
 
 
 def page_files() -> Mapping[str, PageFile]:
     """Return the page's scripts and styles, by their paths below ``/page/``."""
     return {
-        path.relative_to(_FOLDER).as_posix(): PageFile(_TYPES[path.suffix], path.read_bytes())
+        path.relative_to(_FOLDER).as_posix(): PageFile(
+            _TYPES[path.suffix], path.read_bytes(), gzip.compress(path.read_bytes())
+        )
         for path in sorted(_FOLDER.rglob("*"))
         if path.suffix in _TYPES
     }
@@ -128,7 +137,7 @@ class Answers:
         self._stamps = Stamps(unit.board, component.name)
         self._metrics = Metrics(unit)
         self._page = page_of(unit.board.quantities)
-        self._reasons = reasons_page()
+        self._reasons = reasons_page(self._page)
         self._page_files = page_files()
         self.streams = Streams(unit.board, component, self._stamps)
         self.self_check = unit.self_check
@@ -152,7 +161,7 @@ class Answers:
         file = self._page_files.get(request.path_params["file"])
         if file is None:
             return refusal(404, "Not Found")
-        return Response(file.content, media_type=file.media_type)
+        return compressed(request, Response(file.content, media_type=file.media_type), file.packed)
 
     async def api(self, _: Request) -> Response:
         """Return the page of the API."""

@@ -25,6 +25,7 @@ from altd.history.history import History
 from altd.local_socket import identity_at, listening
 from altd.publish.http.answers import Answers, Description
 from altd.publish.http.clients import REQUESTS, Allowed, OwnNames, host_of
+from altd.publish.http.compression import compressed
 from altd.publish.http.errors import HANDLERS, misdirected, refusal
 from altd.publish.http.guard import Guard, too_many
 from altd.publish.http.openapi import api_page_of, document_of
@@ -82,7 +83,7 @@ def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitabl
 
     async def handle(request: Request) -> Response:
         method = "GET" if request.method == "HEAD" else request.method
-        return await path.operations[method].handler(answers, request)
+        return compressed(request, await path.operations[method].handler(answers, request))
 
     return handle
 

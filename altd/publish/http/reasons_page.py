@@ -9,18 +9,12 @@ from altd.status.cause import Kind
 from altd.status.conditions import Condition
 
 
-def reasons_page() -> str:
-    """Return the page from the tables of reasons and conditions, with each code as an anchor."""
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>Reasons: Active Laser Target</title>
-<link rel="icon" href="data:,">
-<link rel="stylesheet" href="page/style.css">
-</head>
+def reasons_page(index: str) -> str:
+    """Return the page from the tables of reasons and conditions, with each code as an anchor.
+
+    Its head is that of ``index``, the unit's page, without scripts.
+    """
+    return f"""{index.partition("<script")[0]}</head>
 <body>
 <header><h1>Reasons</h1><nav aria-label="views"><a href="./">Active Laser Target</a></nav></header>
 <main class="reasons">

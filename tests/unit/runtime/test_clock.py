@@ -2,8 +2,11 @@
 
 import time
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
-from altd.runtime.clock import SystemClock
+import pytest
+
+from altd.runtime.clock import SystemClock, time_zone
 
 
 def test_an_instant_ten_days_ago_has_the_time_of_day_of_then() -> None:
@@ -11,3 +14,24 @@ def test_an_instant_ten_days_ago_has_the_time_of_day_of_then() -> None:
     before = datetime.now(UTC)
     found = clock.utc(time.monotonic_ns() - int(ago.total_seconds()) * 10**9)
     assert abs(found + ago - before) < timedelta(seconds=60)
+
+
+@pytest.mark.parametrize(
+    ("to", "zone"),
+    [
+        ("/usr/share/zoneinfo/Europe/Berlin", "Europe/Berlin"),
+        ("../usr/share/zoneinfo/America/Argentina/Ushuaia", "America/Argentina/Ushuaia"),
+        ("/usr/share/zoneinfo/Etc/UTC", ""),
+        ("/usr/share/zoneinfo/UTC", ""),
+        ("/elsewhere", ""),
+    ],
+)
+def test_the_zone_is_that_of_the_link(tmp_path: Path, to: str, zone: str) -> None:
+    (tmp_path / "localtime").symlink_to(to)
+    assert time_zone(tmp_path / "localtime") == zone
+
+
+def test_a_copied_or_missing_file_names_no_zone(tmp_path: Path) -> None:
+    assert time_zone(tmp_path / "localtime") == ""
+    (tmp_path / "localtime").write_bytes(b"TZif2")
+    assert time_zone(tmp_path / "localtime") == ""

@@ -13,7 +13,7 @@ from altd.measuring.spot_trend import BUCKET_NS
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 from altd.status.health import FIGURE_AGE_S, Health, State
-from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures
+from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures, due_date
 from altd.vision.dust import DustCount
 
 SECOND = 10**9
@@ -36,6 +36,11 @@ class TestCalibrationAge:
         for of in (created, created.replace(tzinfo=None)):  # without a zone it is UTC
             age = CalibrationAge(of, 365.0, FakeClock().utc)
             assert [str(cause.kind) for cause in age(0)] == said
+
+    def test_the_date_is_the_day_of_the_year_after_by_the_calendar(self) -> None:
+        assert due_date(datetime(2026, 3, 1, tzinfo=UTC), 365.0) == "2027-03-01"
+        assert due_date(datetime(2027, 3, 1, 23, 59), 365.0) == "2028-02-29"
+        assert due_date(datetime(9999, 3, 1, tzinfo=UTC), 365.0) == ""
 
     def test_a_clock_that_is_set_right_ends_the_complaint(self) -> None:
         now = [datetime(1970, 1, 1, tzinfo=UTC)]

@@ -1,7 +1,7 @@
 // The unit: its identity, its parts, and its diagnostics.
 
 import { html } from "./vendor/htm-preact.js";
-import { counted, duration, fixed } from "./words.js";
+import { counted, duration, fixed, local, utc } from "./words.js";
 
 // What is known of a part: temperature, exposure and lost frames, where it has these.
 function readingsOf(name, part, components) {
@@ -22,7 +22,10 @@ export function Parts({ status }) {
 }
 
 export function Unit({ status, mayLook }) {
-  const facts = [["serial", status?.serial], ["version", status?.version], ["calibration", status?.calibration]];
+  const zero = status?.zero, there = local(zero?.time, status?.time_zone);
+  const facts = [["serial", status?.serial], ["version", status?.version], ["calibration", status?.calibration],
+    ["calibration valid until", status?.calibration_valid_until],
+    ["zero", zero ? `${utc(zero.time)} UTC${there ? `, ${there} ${status.time_zone}` : ""}, by ${zero.by}` : status && "not set since the start"]];
   return html`<section aria-labelledby="unit-title"><h2 id="unit-title">Unit</h2>
     <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value ?? "–"}</dd></div>`)}</dl>
     <p class="links"><a href="api/v1/">API</a> <a href="api/v1/measurement">measurement</a> <a href="api/v1/status">status</a>

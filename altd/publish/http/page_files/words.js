@@ -61,6 +61,16 @@ export const SIGNALS = {
 // A time of the unit to the second; its zone is written next to it.
 export const utc = time => time?.slice(0, 19).replace("T", " ") ?? "not known";
 
+// The same in a time zone, by its IANA name; null without a zone, and for one that this browser does not know.
+export function local(time, zone) {
+  if (!zone || !time) return null;
+  try {
+    return new Intl.DateTimeFormat("sv", { timeZone: zone, dateStyle: "short", timeStyle: "medium" }).format(new Date(time));
+  } catch {
+    return null;
+  }
+}
+
 export const words = code => code.replaceAll("_", " ");
 
 // Causes of frames that are not from cameras; the verdict names them.

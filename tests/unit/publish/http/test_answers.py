@@ -1,5 +1,7 @@
 """Answers of each path, over real sockets, and the page in docs that lists them."""
 
+import asyncio
+import gzip
 import hashlib
 import html
 import json
@@ -80,6 +82,18 @@ async def test_the_status_is_the_health_of_the_unit(unit: Unit, health: Health) 
     assert answer.json["components"]["http"]["state"] == "ok"
 
 
+async def test_the_status_tells_who_set_the_zero(
+    unit: Unit, published: PublishedUnit, board: Board, measured: Measurement
+) -> None:
+    before = await unit.ask("/api/status")
+    board.publish(measured)
+    published.zero.set(board, "modbus 10.0.0.9")
+    assert before.json["zero"] is None
+    time = (await unit.ask("/api/measurement")).json["time"]
+    zero = (await unit.ask("/api/status")).json["zero"]
+    assert zero == {"count": 1, "by": "modbus 10.0.0.9", "time": time}
+
+
 async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
     answer = await unit.ask("/")
     text = answer.body.decode()
@@ -91,7 +105,8 @@ async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
     named = set(re.findall(r'(?:src|href)="(page/[^"]*)"', text))
     for file in page_files().values():  # a script may load another one
         named.update(re.findall(r'src: "(page/[^"]*)"', file.content.decode()))
-    assert len(named) == 4
+    scripts = {f"page/{name}" for name in page_files() if name.endswith(".js")}
+    assert named == {"page/style.css", "page/vendor/uPlot.min.css", *scripts}
     for path in named:
         assert (await unit.ask(f"/{path}")).status == 200
     linked = set(re.findall(r'href="(api[^"]*)"', text))
@@ -104,7 +119,12 @@ async def test_each_cause_is_explained_at_its_code_by_the_unit_itself(unit: Unit
     assert (
         answer.headers["content-security-policy"] == (await unit.ask("/")).headers["content-security-policy"]
     )
-    assert set(re.findall(r'(?:src|href)="([^"]*)"', text)) == {"data:,", "page/style.css", "./"}
+    assert set(re.findall(r'(?:src|href)="([^"]*)"', text)) == {
+        "data:,",
+        "page/style.css",
+        "page/vendor/uPlot.min.css",
+        "./",
+    }
     entries = dict(re.findall(r'<li id="(\w+)" .*?>(.*)</li>', text))
     assert list(entries) == [
         *(each for each in Reason if not each.is_warning),
@@ -123,6 +143,30 @@ async def test_every_file_of_the_page_is_served_as_what_it_is(unit: Unit) -> Non
         kind = "text/javascript" if name.endswith(".js") else "text/css"
         assert answer.headers["content-type"] == f"{kind}; charset=utf-8"
         assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize("path", ["/", "/reasons", "/page/main.js", "/api/v1/openapi.json"])
+async def test_a_text_is_sent_as_gzip_to_who_accepts_it(unit: Unit, path: str) -> None:
+    plain = await unit.ask(path)
+    packed = await unit.ask(path, headers={"Accept-Encoding": "br, gzip;q=0.5"})
+    head = await unit.ask(path, "HEAD", {"Accept-Encoding": "GZIP"})
+    assert gzip.decompress(packed.body) == plain.body
+    assert packed.headers["content-length"] == str(len(packed.body))
+    assert len(packed.body) < 0.7 * len(plain.body)
+    assert (head.body, head.headers) == (b"", {**packed.headers, "date": head.headers["date"]})
+    assert head.headers["content-encoding"] == "gzip"
+    for refused in ("br", "gzip;q=0", "identity, gzip; q=0.000", ""):
+        answer = await unit.ask(path, headers={"Accept-Encoding": refused})
+        assert (answer.body, answer.headers["vary"]) == (plain.body, "Accept-Encoding")
+
+
+async def test_streams_and_small_answers_are_sent_as_they_are(unit: Unit) -> None:
+    reader, writer = await unit.connect()
+    writer.write(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\nAccept-Encoding: gzip\r\n\r\n")
+    assert b"retry: 2000" in await asyncio.wait_for(reader.readuntil(b"retry: 2000"), 60)
+    writer.close()
+    small = await unit.ask("/healthz", headers={"Accept-Encoding": "gzip"})
+    assert small.json == {"alive": True}
 
 
 NO_FILES = (
