@@ -58,8 +58,8 @@ answer; `/api/v1/openapi.json` is the same as an [OpenAPI](https://spec.openapis
 {paths}
 
 Paths and keys under `/api/v1` keep their meaning; keys may be added. Pictures of the targets are
-sent over a WebSocket at `/api/v1/pictures`, which is not part of the OpenAPI document. Texts from 1 kB on are sent
-as gzip to clients that accept it, streams and archives as they are.
+sent over a WebSocket at `/api/v1/pictures`, which is not part of the OpenAPI document. Texts from 1 kB on are
+sent as gzip to clients that accept it, streams and archives as they are.
 
 ## The measurement
 

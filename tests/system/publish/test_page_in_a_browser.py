@@ -2,9 +2,11 @@
 
 import asyncio
 import math
+import re
 import subprocess
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -317,11 +319,57 @@ async def test_who_cannot_see_it_can_use_it(started: Browser, running: LedUnit, 
             assert violations == []
         # each view can be reached by keys alone
         await shown.open()
-        for _ in range(3):
+        order = []
+        for _ in range(7):
             await shown.page.keyboard.press("Tab")
+            order.append((await shown.now())["focused"])
+        assert ": " in order[0], "the worst cause, which is a link to its explanation"
+        assert order[1:6] == ["Overview", "Drive", "Trends", "Events", "Unit"]
+        assert order[6].startswith("State")
+        for _ in range(3):
+            await shown.page.keyboard.press("Shift+Tab")
         assert (await shown.now())["focused"] == "Trends"
         await shown.page.keyboard.press("Enter")
         await shown.until(lambda now: now["plots"] == 4)
+
+
+@WITH_PAST
+async def test_was_it_all_right_then(started: Browser, running: LedUnit) -> None:
+    """A fault is found by its time, here and there, by its kind and by its words."""
+    facts = running.daemon.unit.facts
+    running.daemon.unit.facts = facts.model_copy(update={"time_zone": "Asia/Kolkata"})
+    running.seen.alter = dark
+    await said(running, "spot_missing", True)
+    await asyncio.sleep(4.0)
+    running.seen.alter = lambda frame: frame
+    async with seen(started, running) as shown:
+        await shown.open("events")
+        rows = shown.page.locator("table.events tbody tr")
+        await rows.filter(has_text="switch the laser on").locator("td:first-child small").first.wait_for()
+        cell = rows.filter(has_text="no laser spot").last.locator("td").first
+        began, there = map(datetime.fromisoformat, (await cell.inner_text()).split("\n"))
+        assert there - began == timedelta(hours=5, minutes=30)
+        await shown.page.get_by_label("Search").fill("SWITCH the laser")
+        await shown.page.get_by_label("Kind").select_option("began")
+        for words in ("began", "switch the laser on"):
+            await rows.filter(has_not_text=words).first.wait_for(state="detached")
+        assert await rows.count() > 0
+        await shown.page.get_by_label("Search").fill("")
+        await shown.page.get_by_label("Kind").select_option("")
+        field = shown.page.get_by_label("Time, UTC")
+        await field.fill((began - timedelta(hours=1)).isoformat("T", "minutes"))
+        await shown.page.get_by_text("nothing was measured then").wait_for()
+        assert await rows.count() == 0
+        await shown.page.get_by_role("link", name="Trends").click()
+        await field.fill(began.isoformat("T", "minutes"))
+        told = shown.page.get_by_text(
+            re.compile(r" UTC: (no|\d+ % of the) measurements valid \(\w.*\), state \w")
+        )
+        await told.wait_for()
+        await shown.until(lambda now: now["plots"] == 4)
+        title = shown.page.get_by_role("heading", name=f"10 minutes around {began:%Y-%m-%d %H:%M} UTC")
+        assert await title.count() == 1
+    running.daemon.unit.facts = facts
 
 
 @WITH_PAST

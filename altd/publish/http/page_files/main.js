@@ -9,11 +9,11 @@ import { Eyes } from "./eye.js";
 import { guard } from "./failing.js";
 import { useKept } from "./keeping.js";
 import { Link, NOTHING } from "./link.js";
-import { Memory } from "./memory.js";
+import { LENGTH_S, Memory } from "./memory.js";
 import { Parts, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
 import { Pictures } from "./pictures.js";
-import { Events, PastTrends, Recordings, SPANS } from "./past.js";
+import { Events, Jump, PastTrends, Recordings, SPANS, secondsOf } from "./past.js";
 import { LiveTrends } from "./trend.js";
 import { QUANTITIES, verdictOf } from "./words.js";
 
@@ -33,12 +33,14 @@ function useView() {
   return view;
 }
 
-function Trends({ unit }) {
+function Trends({ unit, at, setAt, zone }) {
   const [span, setSpan] = useKept("span of the trends", LIVE, value => value === LIVE || Object.hasOwn(SPANS, value));
-  return html`<section aria-labelledby="trend-title" class="trends"><h2 id="trend-title">Last ${span}</h2>
+  const t = secondsOf(at), isLive = span === LIVE && t === null;
+  return html`<section aria-labelledby="trend-title" class="trends"><h2 id="trend-title">${t === null ? `Last ${span}` : `${span} around ${at.replace("T", " ")} UTC`}</h2>
+    <${Jump} at=${at} setAt=${setAt} zone=${zone} />
     <div role="group" aria-label="span of time" class="spans">${[LIVE, ...Object.keys(SPANS)].map(each => html`<button key=${each} type="button"
       aria-pressed=${span === each} onClick=${() => setSpan(each)}>${each}</button>`)}</div>
-    ${span === LIVE ? html`<${LiveTrends} key=${unit} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span}`} span=${span} />`}</section>`;
+    ${isLive ? html`<${LiveTrends} key=${unit} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span} ${at}`} seconds=${SPANS[span] ?? LENGTH_S} t=${t} />`}</section>`;
 }
 
 // The user who is logged in; requested again after a change and while the unit answers.
@@ -49,9 +51,9 @@ function useSession(isAnswering) {
   return [session, look];
 }
 
-function EventsView({ session, mayLook, onSession }) {
+function EventsView({ session, mayLook, zone, onSession, ...jump }) {
   const kept = useAnswer("api/v1/recordings", CHECK_MS);
-  return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} session=${session} mayLook=${mayLook} onSession=${onSession} />`;
+  return html`<${Events} kept=${kept} mayLook=${mayLook} zone=${zone} ...${jump} /><${Recordings} kept=${kept} session=${session} mayLook=${mayLook} zone=${zone} onSession=${onSession} />`;
 }
 
 function UnitView({ status, session, mayLook, onSession }) {
@@ -64,13 +66,15 @@ function UnitView({ status, session, mayLook, onSession }) {
 
 function Page() {
   const [known, setKnown] = useState(NOTHING);
+  const [at, setAt] = useState("");
   const view = useView(), [session, onSession] = useSession(known.status !== null);
   useEffect(() => {
     const link = new Link(now => { memory.add(now.measurement, now.status?.serial); setKnown(now); });
     link.start();
   }, []);
   const { measurement, status } = known, verdict = verdictOf(known), unit = useRef("");
-  unit.current = (status ?? known.last?.status)?.serial ?? unit.current;  // data of one unit is not kept for another at its address
+  const latest = status ?? known.last?.status, zone = latest?.time_zone;
+  unit.current = latest?.serial ?? unit.current;  // data of one unit is not kept for another at its address
   const mayLook = session && (!session.login || session.name !== null);  // null: not known
   useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
   return html`
@@ -82,12 +86,12 @@ function Page() {
         aria-current=${view === name ? "page" : undefined}>${title}</a>`)}</nav>
     </header>
     <main class=${view || "overview"}>
-      ${view === "" && html`<${Causes} status=${status} /><${Numbers} measurement=${measurement} />
+      ${view === "" && html`<${Causes} status=${status} /><${Numbers} measurement=${measurement} zone=${zone} />
         ${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Pictures} mayLook=${mayLook} onSession=${onSession} />`}
       ${view === "drive" && html`<${Causes} status=${status} isFar /><${Numbers} measurement=${measurement} isFar />
         ${hasEyes && html`<${Eyes} measurement=${measurement} isFar />`}`}
-      ${view === "trends" && html`<${Trends} unit=${unit.current} /><${Availability} status=${status} />`}
-      ${view === "events" && html`<${EventsView} key=${unit.current} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
+      ${view === "trends" && html`<${Trends} unit=${unit.current} at=${at} setAt=${setAt} zone=${zone} /><${Availability} status=${status} />`}
+      ${view === "events" && html`<${EventsView} key=${unit.current} at=${at} setAt=${setAt} zone=${zone} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
       ${view === "unit" && html`<${UnitView} status=${status} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
     </main>`;
 }

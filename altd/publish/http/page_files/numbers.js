@@ -1,7 +1,7 @@
 // The quantities with both uncertainties.
 
 import { html, useState } from "./vendor/htm-preact.js";
-import { QUANTITIES, UNKNOWN, counted, fixed, sigmaOf } from "./words.js";
+import { QUANTITIES, UNKNOWN, counted, fixed, local, sigmaOf } from "./words.js";
 
 const FAR_DECIMALS = 1;
 
@@ -15,7 +15,8 @@ function Row({ quantity, measurement, decimals }) {
 }
 
 // isFar: read from two metres: large, with one decimal, directions in mm/m as in the bull's eyes.
-export function Numbers({ measurement, isFar }) {
+export function Numbers({ measurement, zone, isFar }) {
+  const there = local(measurement?.time, zone);
   const [inSlopes, setInSlopes] = useState(isFar);
   const also = QUANTITIES.filter(quantity => quantity.is_also);
   const shown = QUANTITIES.filter(quantity => !quantity.is_also && (quantity.is_shown || measurement?.[quantity.key] != null));
@@ -36,7 +37,7 @@ export function Numbers({ measurement, isFar }) {
     </table>
     ${!isFar && html`${also.length > 0 && html`<button type="button" aria-pressed=${inSlopes} onClick=${() => setInSlopes(!inSlopes)}>
       directions in ${inSlopes ? "degrees" : also[0].unit}</button>`}
-    <p class="when">${measurement ? html`<time datetime=${measurement.time}>${measurement.time ?? "time not known"}</time>,
+    <p class="when">${measurement ? html`<time datetime=${measurement.time}>${measurement.time ?? "time not known"}</time>${there && html` (${there.slice(11)} ${zone})`},
       number ${measurement.sequence}, mean of ${counted(measurement.frames, "exposure")}; ± is 1 sigma` : "\u00a0"}</p>`}
   </section>`;
 }
