@@ -122,7 +122,7 @@ def _header(unit: Unit, kind: str) -> dict[str, object]:
     if unit.faults:
         note += f", faults {', '.join(sorted(unit.faults))}"
     size = {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": config.bits, "origin": "simulated"}
-    glass = {"glass_mm": config.glass_mm, "glass_index": config.glass_index} if config.glass_mm else {}
+    glass = {"glass_mm": config.glass_mm, "glass_index": config.glass_index}
     targets = [
         {"name": FRONT, "z_mm": 0.0, "camera": FRONT, **glass},
         {"name": REAR, "z_mm": config.target_distance_mm, "camera": REAR},
@@ -134,5 +134,5 @@ def _header(unit: Unit, kind: str) -> dict[str, object]:
         "cameras": dict.fromkeys(CAMERAS, size),
         "unit": {"serial": config.serial, "target_distance_mm": config.target_distance_mm},
         "note": note,
-        **({"targets": targets} if glass else {}),
+        "targets": targets,
     }

@@ -61,5 +61,6 @@ class Stage:
             "stage_square_mrad": max(map(abs, of.square_mrad)),
             "beam_normal_mm_per_m": max(map(abs, of.tilt_mm_per_m)),
             "target_distance_mm": 0.0,
+            "temperature_k": 0.0,
         }
         return {"limits": limits} | ({"turned_deg": 180} if of.is_turned else {})

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from altd.calibration.report.prediction import EXPOSURES, predict
+from altd.calibration.report.budget import budget_of
+from altd.calibration.report.prediction import EXPOSURES
 from altd.config import Config
 from altd.files.record_tables import table_from
 from altd.instruments.beam.instrument import QUANTITIES
@@ -85,7 +86,7 @@ def _summary(
 def _expected_sigma(calibration: Calibration) -> dict[str, float]:
     """Return the report's sigma by quantity; empty if the targets have no common area."""
     try:
-        prediction = predict(calibration)
+        budget = budget_of(calibration)
     except ValueError:
         return {}
-    return {key: prediction.rms(key) for key in prediction.quantities}
+    return dict(zip(budget.quantities, budget.combined, strict=True))

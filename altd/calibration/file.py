@@ -91,7 +91,7 @@ class TargetTable(Table):
     ]
     spot: SpotInFile = UNKNOWN_SPOT
     fingerprint: FingerprintInFile | None = None
-    glass_mm: Annotated[float | None, Field(gt=0, le=100), At("glass.thickness_mm", or_absent=True)] = None
+    glass_mm: Annotated[float | None, Field(ge=0, le=100), At("glass.thickness_mm", or_absent=True)] = None
     glass_index: Annotated[float, Field(ge=1, le=3), At("glass.index", or_absent=True)] = GLASS_INDEX
 
 
@@ -257,7 +257,8 @@ def check_place(
         return
     if abs(known.z_mm - z_mm) > _Z_TOLERANCE_MM:
         raise BadInputError(path, f"target {target!r} was calibrated at z {known.z_mm:g} mm, not {z_mm:g}")
-    if glass is not None and glass != known.glass:
+    is_none = glass is None or (known.glass is None and glass.thickness_mm == 0.0)
+    if not is_none and glass != known.glass:
         calibrated = "without glass" if known.glass is None else f"with {known.glass}"
         raise BadInputError(
             path, f"target {target!r} was calibrated {calibrated} behind it, not with {glass}"

@@ -7,6 +7,7 @@ import itertools
 import json
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -130,11 +131,21 @@ def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) ->
 
 
 def _print_result(result: CalibrationResult) -> None:
+    from altd.calibration.report.budget import budget_of
+    from altd.calibration.report.verdict import judge
+
+    judged = None
+    with suppress(ValueError):  # no uncertainty of a beam: the targets have no area in common
+        budget = budget_of(result.calibration, result.evidence)
+        judged = judge(result.calibration, result.evidence, budget)
     for line in result.refused:
         print_errors(f"altd calibrate: left out: {line}")
     for line in result.doubts:
         print_errors(f"altd calibrate: doubtful: {line}")
     print_lines(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+    if judged is not None:
+        for line in (judged.headline, *judged.uncertainty):
+            print_lines(line)
     if result.calibration.simulated:
         print_lines("made from SIMULATED frames: every measurement with it is marked `simulated`")
     print_lines(

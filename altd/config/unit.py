@@ -89,8 +89,8 @@ class Target(Table):
     camera: Name
     """Name of its camera under ``[cameras]``."""
     glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
-    """Thickness of the glass behind the printed surface, mm; none: as calibrated. Glass displaces a slanted
-    beam."""
+    """Thickness of the glass behind the printed surface, mm; 0: no glass; none: as calibrated. Glass
+    displaces a slanted beam."""
     glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
     """Refractive index of that glass at the laser's wavelength; 1.52 if only the thickness is given."""
     switched: bool = False
@@ -108,7 +108,7 @@ class Target(Table):
     @property
     def glass(self) -> Glass | None:
         """Glass behind the printed surface; None: not stated."""
-        return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
+        return None if self.glass_mm is None else Glass(self.glass_mm, self.glass_index or GLASS_INDEX)
 
 
 def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:

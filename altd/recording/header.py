@@ -134,7 +134,7 @@ class TargetHeader(_Header):
     @property
     def glass(self) -> Glass | None:
         """Glass behind the target; None: not stated."""
-        return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
+        return None if self.glass_mm is None else Glass(self.glass_mm, self.glass_index or GLASS_INDEX)
 
 
 class PlateHeader(_Header):

@@ -16,15 +16,17 @@ from altd.calibration.report.prediction import (
     EXPOSURES,
     OF_BEAM,
     OF_SPOT,
+    cause_of,
     common_area,
     name_of,
     points_of,
+    two_digits,
     unit_of,
     variances_of,
 )
 from altd.calibration.result import TargetEvidence
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
-from altd.instruments.beam.refraction import SIGMAS, Refraction
+from altd.instruments.beam.refraction import SIGMAS
 from altd.mapping.grid import contains
 from altd.measuring.calibration import Calibration
 from altd.records import FloatArray, TargetPoint
@@ -53,9 +55,7 @@ _UNITS = {
     "stage_scale_ppm": "ppm",
     "stage_square_mrad": "mrad",
     "beam_normal_mm_per_m": "mm/m",
-    "target_distance_mm": "mm",
     "temperature_k": "K",
-    "glass_mm": "mm",
     "glass_index": "",
 }
 
@@ -64,22 +64,27 @@ _UNITS = {
 class Term:
     """One input of the measurement.
 
-    ``value`` is its standard uncertainty in ``unit``, of ``distribution`` with ``degrees_of_freedom``
-    (infinite: stated). ``contributions`` are its root mean square contributions, over the beams, to the
-    budget's quantities, in their units.
+    ``value`` is its standard uncertainty in ``unit``, of ``distribution``. ``by_target`` are its root mean
+    square contributions, over the beams, to the budget's quantities, in their units: a row for each target
+    with an estimate of its own, with its ``degrees_of_freedom`` (infinite: stated).
     """
 
     key: str
     value: float
     unit: str
     distribution: str
-    degrees_of_freedom: float
-    contributions: tuple[float, ...]
+    degrees_of_freedom: tuple[float, ...]
+    by_target: tuple[tuple[float, ...], ...]
 
     @property
     def name(self) -> str:
         """Name of the term as printed."""
-        return _TERMS[self.key]
+        return term_name(self.key)
+
+    @property
+    def contributions(self) -> tuple[float, ...]:
+        """Contribution of all targets to each quantity."""
+        return tuple(math.hypot(*column) for column in zip(*self.by_target, strict=True))
 
     @property
     def sensitivities(self) -> tuple[float, ...]:
@@ -88,47 +93,76 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """A combined standard uncertainty (GUM, 5.1.2) with its effective degrees of freedom."""
+
+    standard: float
+    degrees_of_freedom: float
+
+    @property
+    def coverage_factor(self) -> float:
+        """Coverage factor for ``COVERAGE``, from Student's distribution (GUM, G.3)."""
+        return student_quantile((1 + COVERAGE) / 2, self.degrees_of_freedom)
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty for ``COVERAGE``."""
+        return self.coverage_factor * self.standard
+
+
+def combine(parts: Sequence[tuple[str, Sequence[float], FloatArray]]) -> tuple[Uncertainty, ...]:
+    """Combine the variances (T, quantities) of terms, each with its key and T degrees of freedom.
+
+    The effective degrees of freedom are those of Welch and Satterthwaite (GUM, G.2b), which holds for
+    estimates that are independent of each other. Pattern and map of a target are both proportional to one
+    estimate, the scatter of its nodes, so they count as one.
+    """
+    estimates: dict[tuple[str, int], tuple[float, FloatArray]] = {}
+    for key, freedom, variances in parts:
+        for number, (free, variance) in enumerate(zip(freedom, variances, strict=True)):
+            estimate = ("pattern" if key == "map" else key, number)
+            estimates[estimate] = free, estimates.get(estimate, (free, 0.0))[1] + variance
+    total = np.sum([variance for _, variance in estimates.values()], axis=0)
+    squares = np.sum([np.square(variance) / free for free, variance in estimates.values()], axis=0)
+    return tuple(
+        Uncertainty(math.sqrt(of_all), of_all**2 / square if square > 0 else math.inf)
+        for of_all, square in zip(total.tolist(), squares.tolist(), strict=True)
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Budget:
     """All terms for the beams that reach the area with slopes up to the stated range.
 
-    ``not_stated`` are the keys of terms that count as 0 because they were not stated.
+    ``not_stated`` are the keys of terms that count as 0 because they were not stated. ``worst`` is the
+    uncertainty of each quantity for the beam with the largest expanded one; ``rms`` is over all beams.
     """
 
     quantities: tuple[str, ...]
     terms: tuple[Term, ...]
     not_stated: tuple[str, ...]
     exposures: int
+    worst: tuple[Uncertainty, ...]
+
+    @property
+    def rms(self) -> tuple[Uncertainty, ...]:
+        """The uncertainty of each quantity, root mean square over the beams."""
+        return combine([(t.key, t.degrees_of_freedom, np.square(t.by_target)) for t in self.terms])
 
     @property
     def combined(self) -> tuple[float, ...]:
-        """The combined standard uncertainty of each quantity (GUM, 5.1.2)."""
-        columns = zip(*(term.contributions for term in self.terms), strict=True)
-        return tuple(math.hypot(*column) for column in columns)
-
-    @property
-    def degrees_of_freedom(self) -> tuple[float, ...]:
-        """Effective degrees of freedom, by Welch and Satterthwaite (GUM, G.2b)."""
-        effective = []
-        for combined, column in zip(
-            self.combined, zip(*(term.contributions for term in self.terms), strict=True), strict=True
-        ):
-            shares = (
-                (u / combined) ** 4 / term.degrees_of_freedom
-                for u, term in zip(column, self.terms, strict=True)
-            )
-            total = sum(shares)
-            effective.append(1 / total if total > 0 else math.inf)
-        return tuple(effective)
-
-    @property
-    def coverage_factors(self) -> tuple[float, ...]:
-        """Coverage factors for ``COVERAGE``, from Student's distribution (GUM, G.3)."""
-        return tuple(student_quantile((1 + COVERAGE) / 2, freedom) for freedom in self.degrees_of_freedom)
+        """The combined standard uncertainty of each quantity."""
+        return tuple(of.standard for of in self.rms)
 
     @property
     def expanded(self) -> tuple[float, ...]:
         """Expanded uncertainty of each quantity."""
-        return tuple(k * u for k, u in zip(self.coverage_factors, self.combined, strict=True))
+        return tuple(of.expanded for of in self.rms)
+
+    @property
+    def missing(self) -> str:
+        """Names of the terms that were not stated."""
+        return ", ".join(_TERMS[key] for key in self.not_stated)
 
     def as_object(self) -> dict[str, Any]:
         """The budget as plain JSON types; infinite degrees of freedom are null."""
@@ -136,6 +170,14 @@ class Budget:
         def of_each(values: Sequence[float]) -> dict[str, float | None]:
             rounded = (float(f"{value:.4g}") if math.isfinite(value) else None for value in values)
             return dict(zip(self.quantities, rounded, strict=True))
+
+        def of_beams(uncertainties: Sequence[Uncertainty]) -> dict[str, dict[str, float | None]]:
+            return {
+                "combined": of_each([of.standard for of in uncertainties]),
+                "degrees_of_freedom": of_each([of.degrees_of_freedom for of in uncertainties]),
+                "coverage_factor": of_each([of.coverage_factor for of in uncertainties]),
+                "expanded": of_each([of.expanded for of in uncertainties]),
+            }
 
         return {
             "exposures": self.exposures,
@@ -147,18 +189,27 @@ class Budget:
                     "value": float(f"{term.value:.4g}"),
                     "unit": term.unit,
                     "distribution": term.distribution,
-                    "degrees_of_freedom": _whole(term.degrees_of_freedom),
+                    "degrees_of_freedom": _whole(sum(term.degrees_of_freedom)),
+                    "degrees_of_freedom_by_target": [_whole(free) for free in term.degrees_of_freedom],
                     "sensitivity": of_each(term.sensitivities),
                     "contribution": of_each(term.contributions),
                 }
                 for term in self.terms
             ],
             "not_stated": list(self.not_stated),
-            "combined": of_each(self.combined),
-            "degrees_of_freedom": of_each(self.degrees_of_freedom),
-            "coverage_factor": of_each(self.coverage_factors),
-            "expanded": of_each(self.expanded),
+            **of_beams(self.rms),
+            "worst": of_beams(self.worst),
         }
+
+
+def term_name(key: str) -> str:
+    """Name of a term as printed."""
+    return _TERMS[key]
+
+
+def unit_of_term(key: str) -> str:
+    """Unit of a term's value."""
+    return _UNITS.get(key, "mm")
 
 
 def student_quantile(probability: float, degrees_of_freedom: float) -> float:
@@ -197,74 +248,96 @@ def beams_of(calibration: Calibration) -> list[list[TargetPoint]]:
 
 
 def budget_of(
-    calibration: Calibration, evidence: Sequence[TargetEvidence], exposures: int = EXPOSURES
+    calibration: Calibration, evidence: Sequence[TargetEvidence] = (), exposures: int = EXPOSURES
 ) -> Budget:
-    """Compute the budget of a measurement of ``exposures`` exposures; raises ValueError like ``beams_of``."""
-    beams = beams_of(calibration)
-    variances = [variances_of(calibration, beam, exposures) for beam in beams]
-    quantities = OF_SPOT if len(calibration.targets) == 1 else OF_BEAM
+    """Compute the budget of a measurement of ``exposures`` exposures; raises ValueError like ``beams_of``.
+
+    Without ``evidence`` the degrees of freedom are not known, and count as infinite.
+    """
+    single = len(calibration.targets) == 1
+    quantities = OF_SPOT if single else OF_BEAM
+    of_beams = [variances_of(calibration, beam, exposures) for beam in beams_of(calibration)]
+    by_beam: dict[str, FloatArray] = {}  # (beams, targets, quantities)
+    for key in dict.fromkeys(itertools.chain.from_iterable(of_beams)):
+        none = np.zeros((len(calibration.targets), len(quantities)))
+        by_beam[key] = np.array([of.get(key, none) for of in of_beams])
+        if cause_of(key) == "limits":
+            by_beam[key] = np.maximum(by_beam[key].sum(axis=1, keepdims=True), 0.0)  # rounding
     freedom = _degrees_of_freedom(calibration, evidence)
     terms = []
-    for key in variances[0]:
-        mean: FloatArray = np.mean([of.get(key, np.zeros(len(quantities))) for of in variances], axis=0)
-        contributions = tuple(float(u) for u in np.sqrt(mean))
+    for key, variances in by_beam.items():
+        by_target = np.sqrt(variances.mean(axis=0))
+        rows = tuple(tuple(row) for row in by_target.tolist())
         if key in freedom:
-            value = math.sqrt(float(np.mean([u * u for u in contributions[:2]])))
-            terms.append(Term(key, value, "mm", "normal, type A", freedom[key], contributions))
+            value = math.sqrt(float(np.square(by_target[:, :2]).sum()) / 2)
+            terms.append(Term(key, value, "mm", "normal, type A", freedom[key], rows))
         else:
             stated = SIGMAS[key] if key in SIGMAS else getattr(calibration.limits, key)
-            terms.append(Term(key, stated, _UNITS[key], "normal, stated", math.inf, contributions))
-    known = (term for term in terms if max(term.contributions) > _MIN_CONTRIBUTION)
+            terms.append(Term(key, stated, unit_of_term(key), "normal, stated", (math.inf,), rows))
+    known = tuple(term for term in terms if max(term.contributions) > _MIN_CONTRIBUTION)
+    of_each_beam = [
+        combine([(term.key, term.degrees_of_freedom, by_beam[term.key][beam]) for term in known])
+        for beam in range(len(of_beams))
+    ]
+    worst = tuple(max(column, key=lambda of: of.expanded) for column in zip(*of_each_beam, strict=True))
     not_stated = list(calibration.limits.not_stated)
-    if len(calibration.targets) > 1 and Refraction.from_calibration(calibration) is None:
+    if not single and all(target.glass is None for target in calibration.targets):
         not_stated.append("glass_mm")
-    return Budget(quantities, tuple(known), tuple(not_stated), exposures)
+    return Budget(quantities, known, tuple(not_stated), exposures, worst)
 
 
-def _degrees_of_freedom(calibration: Calibration, evidence: Sequence[TargetEvidence]) -> Mapping[str, float]:
-    """Degrees of freedom of the terms that the scan shows: nodes and exposures, less fitted parameters."""
-    nodes, exposures = 0.0, 0.0
+def _degrees_of_freedom(
+    calibration: Calibration, evidence: Sequence[TargetEvidence]
+) -> Mapping[str, tuple[float, ...]]:
+    """Degrees of freedom, by target, of the terms that the scan shows.
+
+    They are those of nodes and exposures, less fitted parameters.
+    """
+    if not evidence:
+        return dict.fromkeys(("pattern", "map", "scatter"), (math.inf,) * len(calibration.targets))
+    nodes, exposures = [], []
     for target, seen in zip(calibration.targets, evidence, strict=True):
-        of_model = (c.parameters for c in seen.candidates if c.model == target.map.model)
-        nodes += max(2 * len(seen.nodes_mm) - max(of_model, default=0), 1)
-        exposures += 2 * sum(count - 1 for count in seen.exposures)
-    return {"pattern": nodes, "map": nodes, "scatter": max(exposures, 1.0)}
+        of_model = (
+            tried.parameters
+            for tried in seen.candidates
+            if tried.model == target.map.model and tried.degree in (None, target.map.degree)
+        )
+        nodes.append(float(max(2 * len(seen.nodes_mm) - max(of_model, default=0), 1)))
+        exposures.append(float(max(2 * sum(count - 1 for count in seen.exposures), 1)))
+    return {"pattern": tuple(nodes), "map": tuple(nodes), "scatter": tuple(exposures)}
 
 
 def budget_section(budget: Budget) -> list[Block]:
     """The budget as a table: one row per term, then combined and expanded uncertainty."""
     names = tuple(f"{name_of(key)}, {unit_of(key).strip()}" for key in budget.quantities)
-
-    def numbers(values: Sequence[float]) -> tuple[str, ...]:
-        return tuple(f"{value:.4f}" for value in values)
-
     rows = [
         (
             term.name,
             f"{term.value:.3g} {term.unit}",
             term.distribution,
-            _shown_freedom(term.degrees_of_freedom),
-            *numbers(term.contributions),
+            ", ".join(map(_shown_freedom, term.degrees_of_freedom)),
+            *(f"{value:.4f}" for value in term.contributions),
         )
         for term in budget.terms
     ]
-    freedom = (_shown_freedom(number) for number in budget.degrees_of_freedom)
-    factors = (f"{factor:.2f}" for factor in budget.coverage_factors)
-    rows += [
-        ("combined standard uncertainty", "", "", "", *numbers(budget.combined)),
-        ("effective degrees of freedom", "", "", "", *freedom),
-        (f"coverage factor for {100 * COVERAGE:.0f} %", "", "", "", *factors),
-        ("expanded uncertainty", "", "", "", *numbers(budget.expanded)),
-    ]
+    for beams, of_each in (("rms", budget.rms), ("at worst", budget.worst)):
+        for name, numbers in (
+            (f"combined standard uncertainty, {beams}", (two_digits(of.standard) for of in of_each)),
+            ("effective degrees of freedom", (_shown_freedom(of.degrees_of_freedom) for of in of_each)),
+            (f"coverage factor for {100 * COVERAGE:.0f} %", (f"{of.coverage_factor:.2f}" for of in of_each)),
+            (f"expanded uncertainty, {beams}", (two_digits(of.expanded) for of in of_each)),
+        ):
+            rows.append((name, "", "", "", *numbers))
     words = (
         f"Contributions to one measurement of {budget.exposures} exposures, root mean square over beams that "
-        "reach the calibrated area with slopes up to the stated range."
+        "reach the calibrated area with slopes up to the stated range; “at worst” is the beam with the "
+        "largest one. Degrees of freedom are those of each target. Pattern and map of a target come from the "
+        "scatter of the same nodes, so they count as one estimate in the effective degrees of freedom."
     )
     if "stage_mm" not in budget.not_stated:
         words += " The positioning of the stage is contained in the map, whose nodes scatter by it."
     if budget.not_stated:
-        missing = ", ".join(_TERMS[key] for key in budget.not_stated)
-        words += f" Not stated, so not contained: {missing}."
+        words += f" Not stated, so not contained: {budget.missing}."
     share = 0.34 / len(names)
     columns = ("source", "standard uncertainty", "distribution", "degrees of freedom", *names)
     return [

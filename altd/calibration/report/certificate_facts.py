@@ -70,6 +70,17 @@ class Equipment(Table):
     valid_until: date | None = None
 
 
+class Traceability(Table):
+    """Origin of the references whose uncertainties are the scan's limits, such as a certificate's number."""
+
+    stage: Text | None = None
+    """Length, straightness and right angle of the stage's axes."""
+    beam: Text | None = None
+    """Direction of the calibrating beam against the targets' normal."""
+    distance: Text | None = None
+    """Distance between the targets."""
+
+
 class Facts(Table):
     """Contents of the file."""
 
@@ -83,6 +94,9 @@ class Facts(Table):
     operator: Operator
     unit: UnitFacts
     environment: Environment
+    traceability: Traceability = Traceability()
+    as_found: Text | None = None
+    """Errors before this calibration, such as those by ``altd verify`` with the calibration before."""
     equipment: Annotated[tuple[Equipment, ...], Field(min_length=1)]
 
 
@@ -118,6 +132,6 @@ def _keys_beside(keys: tuple[str | int, ...]) -> list[str]:
     """Possible keys of the table that contains a key."""
     tables: dict[str | int, type[Table]] = {
         "laboratory": Contact, "customer": Contact, "operator": Operator, "unit": UnitFacts,
-        "environment": Environment, "equipment": Equipment,
+        "environment": Environment, "traceability": Traceability, "equipment": Equipment,
     }  # fmt: skip
     return list((Facts if len(keys) == 1 else tables.get(keys[0], Facts)).model_fields)

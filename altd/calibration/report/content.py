@@ -14,12 +14,22 @@ from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.budget import Budget, budget_of, budget_section
 from altd.calibration.report.certificate import sections
 from altd.calibration.report.certificate_facts import Facts
-from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
+from altd.calibration.report.document import (
+    Banner,
+    Block,
+    Document,
+    Heading,
+    Level,
+    Picture,
+    Row,
+    Table,
+    Words,
+)
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
-from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of, predict, unit_of
+from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of, predict
 from altd.calibration.report.target_plots import ShownArea, ValueGrid
-from altd.calibration.report.verdict import Level, ReportVerdict, judge
+from altd.calibration.report.verdict import RULE, ReportVerdict, judge
 from altd.calibration.report.write import Source, target_names_text
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import CameraHeader
@@ -105,10 +115,14 @@ def report_on(source: Source, budget: Budget | None = None, facts: Facts | None 
     budget = budget or budget_of(source.calibration, source.evidence)
     prediction = predict(source.calibration)
     file = file_of(source.calibration)
-    verdict = judge(source.calibration, source.evidence, prediction)
+    verdict = judge(source.calibration, source.evidence, budget)
     blocks = [
         *_origin(source.calibration),
-        _verdict(verdict, prediction),
+        Banner(
+            verdict.level,
+            verdict.headline,
+            (*verdict.uncertainty, verdict.limit, *(verdict.remedies or (verdict.advice,))),
+        ),
         *([] if facts is None else sections(facts, source, budget)),
         *_criteria(verdict),
         *beam_section(prediction, source),
@@ -144,21 +158,10 @@ def _origin(calibration: Calibration) -> list[Block]:
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
 
-def _verdict(verdict: ReportVerdict, prediction: Prediction) -> Block:
-    angles_first = sorted(prediction.quantities, key=lambda key: key in OF_SPOT)
-    *others, last = (f"{prediction.rms(key):.4f}{unit_of(key)} in {name_of(key)}" for key in angles_first)
-    promise = (
-        f"A measurement of {prediction.exposures} exposures is predicted to be right within "
-        f"{', '.join(others)} and {last} (1 sigma, rms over the calibrated area)."
-    )
-    return Banner(
-        verdict.level, verdict.headline, (promise, verdict.limit, *(verdict.remedies or (verdict.advice,)))
-    )
-
-
 def _criteria(verdict: ReportVerdict) -> list[Block]:
     return [
         Heading("Criteria"),
+        Words(RULE),
         Table(
             ("", "found", "required", ""),
             tuple((check.name, check.value, check.wanted, check.level.word) for check in verdict.checks),

@@ -1,20 +1,22 @@
 """A certificate as XML in the structure of the Digital Calibration Certificate, version 3.3.0.
 
 The elements are those of the namespaces https://ptb.de/dcc and https://ptb.de/si, in the order of their
-sequences. A complete unit's file validates against the PTB's schemas of the certificate 3.3.0 and of D-SI
-2.2.0, which are not part of this repository.
+sequences. A unit's file validates, but for the number of its version, against the PTB's schemas of the
+certificate 3.2.1 and of D-SI 2.2.0, which are not part of this repository.
 """
 
 from __future__ import annotations
 
+import math
 from xml.etree import ElementTree
 
 from altd import __version__
 from altd.calibration.file import file_of
 from altd.calibration.report.budget import COVERAGE, Budget
-from altd.calibration.report.certificate import identifications, results_of
+from altd.calibration.report.certificate import MEASURAND, conditions, identifications, references, results_of
 from altd.calibration.report.certificate_facts import Contact, Equipment, Facts
-from altd.calibration.report.prediction import name_of
+from altd.calibration.report.prediction import name_of, two_digits
+from altd.calibration.report.verdict import RULE, judge
 from altd.calibration.report.write import Source
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -30,7 +32,7 @@ def dcc_xml(facts: Facts, source: Source, budget: Budget) -> bytes:
     ElementTree.register_namespace("dcc", DCC)
     ElementTree.register_namespace("si", SI)
     root = Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
-    _administrative_data(_add(root, "administrativeData"), facts, source)
+    _administrative_data(_add(root, "administrativeData"), facts, source, budget)
     result = _add(_add(root, "measurementResults"), "measurementResult")
     _named(result, "Calibration of an Active Laser Target")
     method = _add(_add(result, "usedMethods"), "usedMethod")
@@ -39,17 +41,15 @@ def dcc_xml(facts: Facts, source: Source, budget: Budget) -> bytes:
     condition = _add(_add(result, "influenceConditions"), "influenceCondition", refType="basic_temperature")
     _named(condition, "temperature")
     temperature = facts.environment
-    _quantity(
-        _add(condition, "data"), "temperature", temperature.temperature_c, r"\degreecelsius",
-        temperature.temperature_expanded_k, 2.0,
-    )  # fmt: skip
+    real = _real(_add(condition, "data"), "temperature", temperature.temperature_c, r"\degreecelsius")
+    _expanded(real, temperature.temperature_expanded_k, 2.0, "normal")
     _results(_add(result, "results"), budget)
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return content + b"\n"
 
 
-def _administrative_data(parent: Element, facts: Facts, source: Source) -> None:
+def _administrative_data(parent: Element, facts: Facts, source: Source, budget: Budget) -> None:
     software = _add(_add(parent, "dccSoftware"), "software")
     _named(software, "altd")
     _add(software, "release", __version__)
@@ -84,17 +84,27 @@ def _administrative_data(parent: Element, facts: Facts, source: Source) -> None:
     _add(person, "role", facts.operator.role)
     _add(person, "mainSigner", "true")
     _contact(_add(parent, "customer"), facts.customer)
-    statements = _statements(facts, source)
-    if statements:
-        parent_of = _add(parent, "statements")
-        for text in statements:
-            _add(_add(_add(parent_of, "statement"), "declaration"), "content", text, lang="en")
+    statements = _statements(facts, source, budget)
+    parent_of = _add(parent, "statements")
+    for text in statements:
+        _add(_add(_add(parent_of, "statement"), "declaration"), "content", text, lang="en")
 
 
-def _statements(facts: Facts, source: Source) -> list[str]:
+def _statements(facts: Facts, source: Source, budget: Budget) -> list[str]:
     simulated = ["Made from SIMULATED frames: not for a real unit."] if source.calibration.simulated else []
     until = facts.valid_until
-    return simulated + ([] if until is None else [f"Recalibration is due on {until.isoformat()}."])
+    verdict = judge(source.calibration, source.evidence, budget)
+    return [
+        *simulated,
+        *([] if until is None else [f"Recalibration is due on {until.isoformat()}."]),
+        f"Measurand: {MEASURAND}",
+        *(f"{name}: {text}." for name, text in conditions(facts, source, budget)),
+        *(
+            f"Reference, {name}: {uncertainty}; {origin}."
+            for name, uncertainty, origin in references(facts, source)
+        ),
+        f"{verdict.headline} {RULE}",
+    ]
 
 
 def _equipment(parent: Element, equipment: tuple[Equipment, ...]) -> None:
@@ -121,8 +131,16 @@ def _results(parent: Element, budget: Budget) -> None:
     for result in results_of(budget):
         element = _add(parent, "result")
         _named(element, result.name)
-        unit = _unit(result.key)
-        _quantity(_add(element, "data"), result.name, 0.0, unit, result.expanded, result.coverage_factor)
+        data = _add(element, "data")
+        for name, of in (
+            (f"{result.name}, root mean square over the range", result.rms),
+            (f"{result.name}, at the worst place of the range", result.worst),
+        ):
+            free = of.degrees_of_freedom
+            distribution = f"Student t, {free:.0f} degrees of freedom" if math.isfinite(free) else "normal"
+            _expanded(
+                _real(data, name, 0.0, _unit(result.key)), of.expanded, of.coverage_factor, distribution
+            )
     element = _add(parent, "result")
     _named(element, "uncertainty budget")
     data = _add(element, "data")
@@ -146,15 +164,12 @@ def _real(parent: Element, name: str, value: float, unit: str) -> Element:
     return real
 
 
-def _quantity(
-    parent: Element, name: str, value: float, unit: str, expanded: float, coverage_factor: float
-) -> None:
-    real = _real(parent, name, value, unit)
+def _expanded(real: Element, expanded: float, coverage_factor: float, distribution: str) -> None:
     uncertainty = _si(_si(real, "measurementUncertaintyUnivariate"), "expandedMU")
-    _si(uncertainty, "valueExpandedMU", f"{expanded:.4g}")
+    _si(uncertainty, "valueExpandedMU", two_digits(expanded))
     _si(uncertainty, "coverageFactor", f"{coverage_factor:.3g}")
     _si(uncertainty, "coverageProbability", f"{COVERAGE:g}")
-    _si(uncertainty, "distribution", "normal")
+    _si(uncertainty, "distribution", distribution)
 
 
 def _contact(parent: Element, contact: Contact) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING
-
-from altd.calibration.report.verdict import Level
 
 if TYPE_CHECKING:
     from altd.calibration.report.target_plots import SizedFigure
@@ -14,6 +13,20 @@ if TYPE_CHECKING:
 
 WIDTH_IN = 3.45
 """Width of every picture: two fill a sheet, one a phone, and the type in them is legible on either."""
+
+
+class Level(IntEnum):
+    """The grade of a check; a calibration is as good as its worst check."""
+
+    GOOD = 0
+    USABLE = 1
+    UNDECIDED = 2
+    BAD = 3
+
+    @property
+    def word(self) -> str:
+        """Name of the level as printed."""
+        return ("good", "usable", "not decided", "not good")[self]
 
 
 @dataclass(frozen=True, slots=True)

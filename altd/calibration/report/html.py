@@ -14,16 +14,16 @@ from altd.calibration.report.document import (
     Block,
     Document,
     Heading,
+    Level,
     Picture,
     Row,
     Table,
     Words,
 )
 from altd.calibration.report.target_plots import SizedFigure, report_style
-from altd.calibration.report.verdict import Level
 from altd.calibration.report.write import meta_line
 
-MARKS = {Level.GOOD: "✓", Level.USABLE: "!", Level.BAD: "✗"}
+MARKS = {Level.GOOD: "✓", Level.USABLE: "!", Level.UNDECIDED: "?", Level.BAD: "✗"}
 """Symbols in addition to colour and word, for readers who cannot see the colours."""
 
 _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -43,7 +43,7 @@ h2 { font-size: 1.2rem; margin: 2.4rem 0 .6rem; padding-top: .7rem; border-top: 
 .verdict p { margin: .5rem 0 0; }
 .verdict .headline { font-size: 1.3rem; font-weight: 650; line-height: 1.3; margin: 0; }
 .verdict.good { border-color: #0072b2; background: #eaf4fa; }
-.verdict.usable { border-color: #e69f00; background: #fdf5e3; }
+.verdict.usable, .verdict.undecided { border-color: #e69f00; background: #fdf5e3; }
 .verdict.bad { border-color: #d55e00; background: #fcece3; }
 .mark { position: fixed; inset: 0; display: grid; place-items: center; pointer-events: none; z-index: 1;
   font-size: min(17vw, 20vh); font-weight: 700; color: #d55e00; opacity: .13; rotate: -38deg;
@@ -54,7 +54,8 @@ th, td { text-align: left; vertical-align: top; padding: .32rem .8rem .32rem 0;
   border-bottom: 1px solid #e6e9ec; overflow-wrap: anywhere; }
 th { font-weight: 600; color: #5f6670; border-bottom-color: #9aa1a9; }
 td.level { white-space: nowrap; font-weight: 600; background: none; }
-td.level.good { color: #005a8c; } td.level.usable { color: #8a5a00; } td.level.bad { color: #a84300; }
+td.level.good { color: #005a8c; }
+td.level:is(.usable, .undecided) { color: #8a5a00; } td.level.bad { color: #a84300; }
 figure { margin: 1rem 0 0; }
 .pictures { display: flex; flex-wrap: wrap; gap: .6rem 1.2rem; }
 .pictures img { flex: 1 1 20rem; min-width: 0; width: 100%; max-width: 29rem; height: auto;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,6 +27,12 @@ CAUSES = ("pattern", "map", "scatter", "limits")
 """The parts of sigma: print and speckle of a place, the uncertainty of the map, the scatter of single
 exposures, and the stated limits of effects that the scan does not show."""
 
+
+def cause_of(key: str) -> str:
+    """Cause of ``CAUSES`` to which a term of the budget belongs."""
+    return key if key in CAUSES else "limits"
+
+
 EXPOSURES = 20
 """Number of exposures for the predicted sigma: the default of ``measuring.window``."""
 
@@ -45,6 +52,13 @@ def unit_of(key: str) -> str:
     """Unit of a quantity as printed after a number."""
     unit = _QUANTITIES[key].unit
     return unit if unit == "°" else f" {unit}"
+
+
+def two_digits(uncertainty: float) -> str:
+    """An uncertainty as printed, with two significant digits (GUM, 7.2.6)."""
+    rounded = float(f"{uncertainty:.1e}")
+    is_number = math.isfinite(rounded) and rounded > 0
+    return f"{rounded:.{max(1 - math.floor(math.log10(rounded)), 0)}f}" if is_number else f"{rounded:g}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,10 +90,6 @@ class Prediction:
         rms: FloatArray = self.rms(quantity) * factor
         return rms
 
-    def worst(self, quantity: str) -> float:
-        """The largest sigma in the area."""
-        return float(np.nanmax(self.sigma[self.quantities.index(quantity)]))
-
 
 def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     """Predict sigma from the maps and the repeatability, by the same formulas that a measurement uses.
@@ -100,10 +110,9 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
         along = [points_of(target, line_mm[columns]) for target in calibration.targets]
         for column, *points in zip(columns, *along, strict=True):
             parts = variances_of(calibration, points, exposures)
-            sigma[:, row, column] = np.sqrt(sum(parts.values()))
             for cause, part in parts.items():
-                at = CAUSES.index(cause) if cause in CAUSES else CAUSES.index("limits")
-                variances[:, at] += part
+                variances[:, CAUSES.index(cause_of(cause))] += part.sum(axis=0)
+            sigma[:, row, column] = np.sqrt(np.sum(list(parts.values()), axis=(0, 1)))
     shares = variances / variances.sum(axis=1, keepdims=True)
     return Prediction(quantities, x_mm, y_mm, sigma, shares, exposures)
 
@@ -111,9 +120,10 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
 def variances_of(
     calibration: Calibration, points: Sequence[TargetPoint], exposures: int
 ) -> dict[str, FloatArray]:
-    """Compute the parts, by cause, of the variances (4,) of ``OF_BEAM``, or (2,) of a single ``OF_SPOT``.
+    """Compute the parts, by cause, of the variances of ``OF_BEAM``, or of a single ``OF_SPOT``.
 
-    ``limits`` are split by their keys. The parts add up to the square of the published sigma.
+    Each part (T, quantities) is split by target, ``limits`` also by their keys. All of them add up to the
+    square of the published sigma.
     """
     z_mm = [target.z_mm for target in calibration.targets]
     parts = _covariances_mm2(calibration.targets, points, exposures)
@@ -132,7 +142,11 @@ def variances_of(
         effects |= refraction.effects_mm(slopes, z_mm)
     for key, columns in effects.items():
         parts[key] = columns @ columns.T
-    return {cause: np.einsum("qi,ij,qj->q", gain, part, gain) for cause, part in parts.items()}
+    by_target = (len(gain), len(z_mm), 2)
+    return {
+        cause: np.einsum("qi,ij,qj->qi", gain, part, gain).reshape(by_target).sum(axis=2).T
+        for cause, part in parts.items()
+    }
 
 
 def own_noise_px(candidate: Candidate, nodes: int) -> float:

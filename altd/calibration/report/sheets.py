@@ -21,6 +21,7 @@ from altd.calibration.report.document import (
     Block,
     Document,
     Heading,
+    Level,
     Picture,
     Row,
     Table,
@@ -28,7 +29,6 @@ from altd.calibration.report.document import (
 )
 from altd.calibration.report.html import MARKS
 from altd.calibration.report.target_plots import FAINT, INK, QUIET, SizedFigure, report_style
-from altd.calibration.report.verdict import Level
 
 _WIDTH_IN, _HEIGHT_IN = 8.27, 11.69
 _MARGIN_IN, _TOP_IN, _BOTTOM_IN = 0.6, 0.6, 0.75
@@ -38,6 +38,7 @@ _CELL_GAP_IN = 0.12
 _FILLS = {
     Level.GOOD: ("#eaf4fa", "#0072b2", "#005a8c"),
     Level.USABLE: ("#fdf5e3", "#e69f00", "#8a5a00"),
+    Level.UNDECIDED: ("#fdf5e3", "#e69f00", "#8a5a00"),
     Level.BAD: ("#fcece3", "#d55e00", "#a84300"),
 }
 """Colours of background, edge and words at each level."""

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from altd.calibration.report.prediction import CAUSES, Prediction, name_of, unit_of
+from altd.calibration.report.budget import Budget, Uncertainty, budget_of, term_name, unit_of_term
+from altd.calibration.report.document import Level
+from altd.calibration.report.prediction import CAUSES, OF_SPOT, cause_of, name_of, two_digits, unit_of
 from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.records.limits import LIMIT_KEYS, NO_LIMITS, Limits
 
-_GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
-_GOOD_MM, _USABLE_MM = 0.0120, 0.0500
-"""Limits of predicted sigma: a unit with strong speckle reaches good, the thesis usable (Tables 3.1, 3.4)."""
+REQUIRED = {"mm": 1.0, "deg": math.degrees(1e-3)}
+"""Largest permissible error by the unit of a quantity: ±1 mm, and ±1 mm/m in yaw and pitch (thesis, A.1)."""
+
+RULE = (
+    "Decision rule: a quantity meets the requirement if its expanded uncertainty (95 %) at the worst place "
+    "of the range is at most the permissible error, ±1 mm and ±1 mm/m. This is guarded acceptance with a "
+    "guard band of the expanded uncertainty (JCGM 106:2012, 8.3.2), for a remaining error of 0. Otherwise it "
+    "is not decided; it is not good if what the scan itself shows is already larger."
+)
+"""The decision rule."""
+
+_USUAL = Limits(0.005, 50.0, 0.05, 0.3, 0.05, 10.0)
+"""Limits of an ordinary stage and mounting, to tell what an uncertainty would be."""
 
 _GOOD_NODES_MM, _USABLE_NODES_MM = 0.020, 0.0714
 """Limits of the nodes' mean distance from the map; usable is Table 3.3, semi-transparent target."""
@@ -31,19 +44,6 @@ _MIN_LEDS = 3
 """Minimum number of LEDs; fewer do not separate a shift of the picture from rotation and scale."""
 
 
-class Level(IntEnum):
-    """The grade of a check; a calibration is as good as its worst check."""
-
-    GOOD = 0
-    USABLE = 1
-    BAD = 2
-
-    @property
-    def word(self) -> str:
-        """Name of the level as printed."""
-        return ("good", "usable", "not good")[self]
-
-
 @dataclass(frozen=True, slots=True)
 class Check:
     """One judged number: its value and the wanted one, in words, and the remedy if it is not good."""
@@ -57,11 +57,16 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class ReportVerdict:
-    """The calibration's level, the checks behind it and what limits the measurement."""
+    """The calibration's level, the checks behind it and what limits the measurement.
+
+    ``uncertainty`` are sentences on it; ``undecided`` is the reason for a level that is not decided.
+    """
 
     checks: tuple[Check, ...]
+    uncertainty: tuple[str, ...]
     limit: str
     advice: str
+    undecided: str
 
     @property
     def level(self) -> Level:
@@ -73,7 +78,8 @@ class ReportVerdict:
         """The verdict in one sentence or two."""
         return {
             Level.GOOD: "This calibration is good.",
-            Level.USABLE: "This calibration is usable, but below the required quality.",
+            Level.USABLE: "This calibration is usable, but not all criteria are met.",
+            Level.UNDECIDED: f"Not decided: {self.undecided}.",
             Level.BAD: "This calibration is not good. Do not measure with it.",
         }[self.level]
 
@@ -83,41 +89,82 @@ class ReportVerdict:
         return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
 
 
-def judge(
-    calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction
-) -> ReportVerdict:
-    """Judge a calibration by its maps, its evidence and its predicted sigma."""
-    limit, advice = _limit(prediction, calibration.targets)
+def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], budget: Budget) -> ReportVerdict:
+    """Judge a calibration by its maps, its evidence and its budget of uncertainty."""
+    of_scan = budget_of(replace(calibration, limits=NO_LIMITS), evidence, budget.exposures)
+    stated = {key: getattr(calibration.limits, key) for key in LIMIT_KEYS}
+    filled = {key: getattr(_USUAL, key) if sigma is None else sigma for key, sigma in stated.items()}
+    usual = budget_of(replace(calibration, limits=Limits(**filled)), evidence, budget.exposures)
+    advice = _advice(budget, calibration.targets)
     checks = [
-        *_predictions(prediction, calibration.targets),
+        *_requirements(budget, of_scan, advice),
         *_of_maps(calibration.targets),
         _of_cross_checks(calibration.targets),
         *_of_nodes(evidence),
         _of_leds(calibration.targets),
     ]
-    return ReportVerdict(tuple(checks), limit, advice)
+    return ReportVerdict(
+        tuple(checks),
+        _uncertainty(budget, usual, of_scan),
+        _limit(budget),
+        f"To reduce the uncertainty: {advice}.",
+        _undecided(budget),
+    )
 
 
-def _predictions(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:
-    advice = _advice(prediction, targets)
+def _undecided(budget: Budget) -> str:
+    """Reason why a verdict is not decided, if the checks of the uncertainty are the reason."""
+    if not budget.not_stated:
+        return "the expanded uncertainty is larger than the permissible error"
+    verb = "is" if len(budget.not_stated) == 1 else "are"
+    return f"{budget.missing} {verb} not stated"
+
+
+def _uncertainty(budget: Budget, usual: Budget, of_scan: Budget) -> tuple[str, ...]:
+    """Sentences on the combined uncertainty, on its size with usual limits, and on the scan's own part."""
+    lines = [
+        f"Combined standard uncertainty of a measurement of {budget.exposures} exposures: "
+        f"{_of_each(budget, budget.rms)} (rms over the range).",
+        "Expanded uncertainty (95 %) at the worst place of the range: "
+        f"{_of_each(budget, budget.worst, True)}.",
+    ]
+    if missing := [key for key in budget.not_stated if key in LIMIT_KEYS]:
+        named = ", ".join(f"{term_name(key)} {getattr(_USUAL, key):g} {unit_of_term(key)}" for key in missing)
+        would_be = _of_each(usual, usual.worst, True)
+        lines.append(f"If what is not stated were as usual ({named}), it would be {would_be}.")
+    own = _of_each(of_scan, of_scan.rms)
+    lines.append(f"Rms error as the scan shows it, against a perfectly normal calibrating beam: {own}.")
+    return tuple(lines)
+
+
+def _of_each(budget: Budget, uncertainties: Sequence[Uncertainty], is_expanded: bool = False) -> str:
+    """Phrase for the uncertainty of each quantity, yaw and pitch first."""
+    stated = sorted(zip(budget.quantities, uncertainties, strict=True), key=lambda one: one[0] in OF_SPOT)
+    *others, last = (
+        (f"±{two_digits(of.expanded)}" if is_expanded else two_digits(of.standard))
+        + f"{unit_of(key)} in {name_of(key)}"
+        for key, of in stated
+    )
+    return f"{', '.join(others)} and {last}"
+
+
+def _requirements(budget: Budget, of_scan: Budget, advice: str) -> list[Check]:
+    """Compare each quantity, yaw and pitch first, with the permissible error, by ``RULE``."""
     remedy = f"{advice[0].upper()}{advice[1:]}."
+    if budget.not_stated:
+        remedy = f"State {budget.missing} (docs/budget.md), and calibrate again."
+    open_end = " and what is not stated" if budget.not_stated else ""
+    stated = zip(budget.quantities, budget.worst, of_scan.worst, strict=True)
     checks = []
-    for quantity, good, usable in (
-        ("yaw_deg", _GOOD_DEG, _USABLE_DEG),
-        ("pitch_deg", _GOOD_DEG, _USABLE_DEG),
-        ("x_mm", _GOOD_MM, _USABLE_MM),
-        ("y_mm", _GOOD_MM, _USABLE_MM),
-    ):
-        if quantity not in prediction.quantities:
-            continue
-        name, unit = name_of(quantity), unit_of(quantity)
-        rms, worst = prediction.rms(quantity), prediction.worst(quantity)
+    for quantity, worst, own in sorted(stated, key=lambda one: one[0] in OF_SPOT):
+        unit, required = unit_of(quantity), REQUIRED[quantity.rpartition("_")[2]]
+        is_met = worst.expanded <= required and not budget.not_stated
         checks.append(
             Check(
-                f"Predicted sigma of {name}",
-                f"{rms:.4f}{unit} rms, {worst:.4f}{unit} at worst",
-                f"rms at most {good:.4f}{unit}",
-                _level(rms, good, usable),
+                f"Expanded uncertainty of {name_of(quantity)} (95 %), at worst",
+                f"±{two_digits(worst.expanded)}{unit}{open_end}",
+                f"at most ±{two_digits(required)}{unit}",
+                Level.GOOD if is_met else Level.UNDECIDED if own.expanded <= required else Level.BAD,
                 remedy,
             )
         )
@@ -234,16 +281,22 @@ _ADVICE = {
 }
 
 
-def _main_causes(prediction: Prediction) -> list[str]:
-    """Causes with at least a third of the variance, the largest first; the largest if there are none."""
-    shares = prediction.shares.mean(axis=0)
-    order = np.argsort(shares)[::-1]
-    return [CAUSES[n] for n in order if shares[n] >= 1 / 3] or [CAUSES[order[0]]]
+def _shares(budget: Budget) -> dict[str, float]:
+    """Share of each cause in the variance, mean of the quantities, the largest first."""
+    shares = dict.fromkeys(CAUSES, 0.0)
+    for term in budget.terms:
+        of_each = np.square(np.divide(term.contributions, budget.combined))
+        shares[cause_of(term.key)] += float(of_each.mean())
+    return dict(sorted(shares.items(), key=lambda one: -one[1]))
 
 
-def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str:
-    """Remedies for the main causes; if pattern is one, first a flat for targets without a recorded one."""
-    causes = _main_causes(prediction)
+def _advice(budget: Budget, targets: Sequence[TargetCalibration]) -> str:
+    """Remedies for causes with a third of the variance, or the largest one.
+
+    If the pattern is one, first a flat for targets without a recorded one.
+    """
+    shares = _shares(budget)
+    causes = [cause for cause, share in shares.items() if share >= 1 / 3] or list(shares)[:1]
     words = [_ADVICE[cause] for cause in causes]
     without = [target.name for target in targets if target.flat is None or target.flat.source == "print"]
     if "pattern" in causes and without:
@@ -251,12 +304,12 @@ def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str
     return "; ".join(words)
 
 
-def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tuple[str, str]:
-    """Sentences on the shares of the variance, and on ways to reduce the uncertainty."""
-    shares = prediction.shares.mean(axis=0)
-    order = np.argsort(shares)[::-1]
-    named = ", ".join(f"{_CAUSE_WORDS[CAUSES[n]]} {100 * shares[n]:.0f} %" for n in order)
-    return f"Shares of the variance: {named}.", f"To reduce the uncertainty: {_advice(prediction, targets)}."
+def _limit(budget: Budget) -> str:
+    """Sentence on the shares of the variance."""
+    named = ", ".join(
+        f"{_CAUSE_WORDS[cause]} {100 * share:.0f} %" for cause, share in _shares(budget).items()
+    )
+    return f"Shares of the variance: {named}."
 
 
 def _level(value: float, good: float, usable: float) -> Level:

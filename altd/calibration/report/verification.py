@@ -8,9 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
+from altd.calibration.report.document import (
+    Banner,
+    Block,
+    Document,
+    Heading,
+    Level,
+    Picture,
+    Row,
+    Table,
+    Words,
+)
 from altd.calibration.report.target_plots import ShownArea, nice_length, vectors
-from altd.calibration.report.verdict import Level
 from altd.records import FloatArray, counted
 
 _LEVELS = {"passed": Level.GOOD, "failed": Level.BAD, "not decided": Level.USABLE}

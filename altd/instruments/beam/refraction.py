@@ -57,7 +57,11 @@ class Refraction:
     @classmethod
     def from_calibration(cls, calibration: Calibration) -> Self | None:
         """Glass of a unit as stated by its calibration; None where there is none."""
-        panes = tuple((target.z_mm, target.glass) for target in calibration.targets if target.glass)
+        panes = tuple(
+            (target.z_mm, target.glass)
+            for target in calibration.targets
+            if target.glass and target.glass.thickness_mm
+        )
         return cls(panes) if panes else None
 
     def displaced_mm(self, slopes: FloatArray, z_mm: Sequence[float]) -> tuple[FloatArray, FloatArray]:

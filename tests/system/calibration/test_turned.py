@@ -69,7 +69,7 @@ def zero_mm_per_m(calibration: Calibration) -> tuple[float, float]:
 def test_one_scan_keeps_the_tilt_and_states_it(calibrations: tuple[Calibration, Calibration]) -> None:
     one, _ = calibrations
     assert zero_mm_per_m(one) == pytest.approx([-t for t in MISALIGNED.tilt_mm_per_m], abs=0.05)
-    assert one.limits == Limits(0.002, 120.0, 0.2, 0.8, 0.0)
+    assert one.limits == Limits(0.002, 120.0, 0.2, 0.8, 0.0, 0.0)
 
 
 def test_two_scans_remove_it_to_a_hundredth_of_the_accuracy_that_is_required(

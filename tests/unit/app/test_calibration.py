@@ -19,6 +19,7 @@ from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.settings import load_settings
 from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.report.budget import beams_of
 from altd.calibration.report.content import report_on
 from altd.calibration.report.write import Source
 from altd.publish.serial.console import Console
@@ -166,14 +167,20 @@ def test_it_says_what_stands_in_the_file(tmp_path: Path) -> None:
     assert [target.model_dump(mode="json") for target in read.targets] == told["targets"]
 
 
+def expected_sigma() -> dict[str, float]:
+    """Straight maps: an angle is known better by 1 + slope², and the beams have the slopes of the range."""
+    one_mm = math.sqrt(0.03**2 + 0.01**2 + 0.02**2 / 20) / PX_PER_MM
+    slopes = np.array([(b[1].x_mm - b[0].x_mm, b[1].y_mm - b[0].y_mm) for b in beams_of(calibration())])
+    share = np.sqrt(np.mean((1 + np.square(slopes / DISTANCE_MM)) ** -2.0, axis=0))
+    yaw_deg, pitch_deg = (math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM) * share).tolist()
+    return {"x_mm": one_mm, "y_mm": one_mm, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg}
+
+
 def test_the_expected_sigma_of_straight_maps_is_the_closed_form() -> None:
     """0.03 px of pattern, 0.01 px of a common shift, 0.02 px of scatter of one exposure: all independent."""
     told = summary_of(calibration(), BOTH, "cal.json").as_object()
-    one_mm = math.sqrt(0.03**2 + 0.01**2 + 0.02**2 / 20) / PX_PER_MM
-    angle_deg = math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM)
     assert told["exposures"] == 20
-    expected = {"x_mm": one_mm, "y_mm": one_mm, "yaw_deg": angle_deg, "pitch_deg": angle_deg}
-    assert told["expected_sigma"] == pytest.approx(expected, rel=1e-3)
+    assert told["expected_sigma"] == pytest.approx(expected_sigma(), rel=1e-3)
 
 
 def test_report_api_and_console_show_one_hash_one_sigma_and_one_valid_area(tmp_path: Path) -> None:
@@ -203,10 +210,11 @@ def test_report_api_and_console_show_one_hash_one_sigma_and_one_valid_area(tmp_p
     assert f"('SHA-256 of the calibration file', '{file_sha256}')" in report
     assert file_sha256 in console
 
-    one_mm = math.sqrt(0.03**2 + 0.01**2 + 0.02**2 / 20) / PX_PER_MM
-    x, yaw = f"{one_mm:.4f}", f"{math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM):.4f}"
+    expected = expected_sigma()
+    x, yaw = (f"{expected[key]:.4f}" for key in ("x_mm", "yaw_deg"))
     assert [f"{told['expected_sigma'][key]:.4f}" for key in ("x_mm", "yaw_deg")] == [x, yaw]
-    assert f"A measurement of 20 exposures is predicted to be right within {yaw}° in yaw" in report
+    combined = "Combined standard uncertainty of a measurement of 20 exposures: "
+    assert f"{combined}{float(yaw):.4f}° in yaw" in report
     assert f"{x} mm in x" in report
     for part in ("sigma of 20 exposures:", f"x {x} mm", f"yaw {yaw} deg"):
         assert part in console.replace("\r\n             ", " ")

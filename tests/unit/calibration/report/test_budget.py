@@ -6,10 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 from support.evidence import DISTANCE_MM, calibration, evidence, nodes_mm, straight_map, straight_px, target
 from support.recordings import PX_PER_MM
 
-from altd.calibration.report.budget import Budget, Term, beams_of, budget_of, budget_section, student_quantile
+from altd.calibration.report.budget import (
+    Budget,
+    Term,
+    beams_of,
+    budget_of,
+    budget_section,
+    combine,
+    student_quantile,
+)
 from altd.calibration.report.document import Table, Words
 from altd.calibration.report.prediction import (
     difference_mm,
@@ -38,13 +47,13 @@ def term(budget: Budget, key: str) -> Term:
     return found
 
 
-@pytest.mark.parametrize(
-    ("degrees_of_freedom", "printed"),
-    [(6, 2.447), (8, 2.306), (10, 2.228), (30, 2.042), (120, 1.980), (math.inf, 1.960)],
-)
-def test_coverage_factors_are_those_of_the_tables(degrees_of_freedom: float, printed: float) -> None:
-    """Two-sided 95 % points of Student's distribution (GUM, table G.2, and any table of statistics)."""
-    assert student_quantile(0.975, degrees_of_freedom) == pytest.approx(printed, abs=0.0025)
+@pytest.mark.parametrize("probability", [0.95, 0.975, 0.995])
+def test_quantiles_of_student_are_those_of_scipy(probability: float) -> None:
+    for free in (*range(6, 200), 1e4, math.inf):
+        expected = scipy.stats.t.ppf(probability, free)
+        assert student_quantile(probability, free) == pytest.approx(expected, rel=0.006), free
+        if probability <= 0.975:
+            assert student_quantile(probability, free) == pytest.approx(expected, rel=0.001), free
 
 
 def test_terms_are_those_of_the_formulas(budget: Budget) -> None:
@@ -72,17 +81,46 @@ def test_beams_have_slopes_up_to_the_stated_range_and_meet_both_targets() -> Non
 def test_the_sum_is_the_root_of_the_squares_and_expands_by_its_factor(budget: Budget) -> None:
     for at, combined in enumerate(budget.combined):
         assert combined == pytest.approx(math.hypot(*(each.contributions[at] for each in budget.terms)))
-        assert budget.expanded[at] == pytest.approx(budget.coverage_factors[at] * combined)
-        assert 1.959 < budget.coverage_factors[at] < 2.1
+        factor = scipy.stats.t.ppf(0.975, budget.rms[at].degrees_of_freedom)
+        assert budget.expanded[at] == pytest.approx(factor * combined, rel=1e-3)
+        assert 1.959 < factor < 2.1
 
 
 def test_a_term_that_is_known_from_few_readings_raises_the_factor() -> None:
     """GUM, H.1.6: five terms with 18, 25.6, infinite and 50 degrees of freedom."""
     terms = [("a", 25.0, 18), ("b", 9.7, 25.6), ("c", 2.9, 50), ("d", 16.6, 2)]
-    made = Budget(("x_mm",), tuple(Term(k, u, "nm", "normal, type A", f, (u,)) for k, u, f in terms), (), 1)
-    assert made.combined[0] == pytest.approx(31.7, abs=0.05)
-    assert made.degrees_of_freedom[0] == pytest.approx(16.7, abs=0.1)
-    assert made.coverage_factors[0] == pytest.approx(2.11, abs=0.01)
+    (made,) = combine([(key, (free,), np.array([[u * u]])) for key, u, free in terms])
+    assert made.standard == pytest.approx(31.7, abs=0.05)
+    assert made.degrees_of_freedom == pytest.approx(16.7, abs=0.1)
+    assert made.coverage_factor == pytest.approx(2.11, abs=0.01)
+
+
+def test_terms_from_one_estimate_cover_as_they_state() -> None:
+    """Monte Carlo: one standard deviation, estimated from 8 readings more than needed, scales both terms."""
+    parts = [("pattern", (8.0,), np.array([[9.0]])), ("map", (8.0,), np.array([[16.0]]))]
+    (made,) = combine(parts)
+    rng = np.random.default_rng(5)
+    errors = rng.normal(0, 3, 200_000) + rng.normal(0, 4, 200_000)
+    estimated = np.sqrt(rng.chisquare(8, 200_000) / 8)
+    within = np.abs(errors) <= made.expanded * estimated
+    assert within.mean() == pytest.approx(0.95, abs=0.002)
+
+
+def test_two_targets_are_two_estimates() -> None:
+    """x is that of the front target alone; yaw has equal parts of both."""
+    at_rest = calibration(target("front", scatter_px=0.0), target("rear", scatter_px=0.0))
+    found = budget_of(at_rest, EVIDENCE).rms
+    nodes = 2 * 30 - 8
+    assert found[0].degrees_of_freedom == pytest.approx(nodes)
+    assert found[2].degrees_of_freedom == pytest.approx(2 * nodes)
+
+
+def test_the_worst_place_is_the_edge_that_the_stage_reaches() -> None:
+    long = replace(calibration(), limits=Limits(stage_scale_ppm=1000.0))
+    found = budget_of(long, EVIDENCE)
+    own_mm = budget_of(calibration(), EVIDENCE).rms[0].standard
+    assert found.worst[0].standard == pytest.approx(math.hypot(1e-3 * 62.5, own_mm), rel=1e-3)
+    assert found.rms[0].standard < 0.8 * found.worst[0].standard
 
 
 def test_limits_that_are_not_stated_are_named(budget: Budget) -> None:
@@ -104,6 +142,8 @@ def test_glass_that_is_stated_has_two_terms() -> None:
     with_glass = replace(calibration(), targets=(replace(front, glass=Glass(4.0)), rear))
     made = budget_of(with_glass, EVIDENCE)
     assert "glass_mm" not in made.not_stated
+    none = replace(calibration(), targets=(replace(front, glass=Glass(0.0)), rear))
+    assert "glass_mm" not in budget_of(none).not_stated
     slopes = np.array([(b[1].x_mm - b[0].x_mm, b[1].y_mm - b[0].y_mm) for b in beams_of(calibration())])
     theta = np.arctan(np.linalg.norm(slopes / DISTANCE_MM, axis=1))
     inner = np.arcsin(np.sin(theta) / 1.52)
@@ -141,7 +181,6 @@ def test_sigma_of_straight_maps_is_the_closed_form_everywhere() -> None:
     assert prediction.sigma[:2] == pytest.approx(np.full_like(prediction.sigma[:2], one_mm), rel=1e-6)
     angle_deg = math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM)
     assert prediction.sigma[2:] == pytest.approx(np.full_like(prediction.sigma[2:], angle_deg), rel=1e-6)
-    assert prediction.rms("yaw_deg") == pytest.approx(prediction.worst("pitch_deg"))
 
 
 def test_the_shares_are_those_of_the_variances() -> None:

@@ -6,10 +6,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from support.evidence import calibration
+from support.evidence import calibration, evidence
 from support.places import ROOT
 
-from altd.calibration.report.budget import Budget, Term
+from altd.calibration.report.budget import Budget, Term, Uncertainty
 from altd.calibration.report.certificate import sections
 from altd.calibration.report.certificate_facts import load_facts
 from altd.calibration.report.dcc import dcc_xml
@@ -45,17 +45,20 @@ ORDER = {
 
 
 def source() -> Source:
-    return Source(calibration(), (), {}, "altd calibrate", ())
+    return Source(calibration(), (evidence("front"), evidence("rear")), {}, "altd calibrate", ())
 
 
 def budget() -> Budget:
-    """Two terms, of 3 and 4 parts of one, both known without limit: k is 1.96."""
+    """Two terms, of 3 and 4 parts of one, both known without limit: k is 1.96.
+
+    At the worst place 8 parts with 10 degrees of freedom: k is 2.23.
+    """
     parts = np.array([0.001, 0.002, 0.0004, 0.0006])
     terms = [
-        Term(key, 1.0, "mm", "normal", math.inf, tuple((factor * parts).tolist()))
+        Term(key, 1.0, "mm", "normal", (math.inf,), (tuple((factor * parts).tolist()),))
         for key, factor in (("map", 3.0), ("stage_scale_ppm", 4.0))
     ]
-    return Budget(OF_BEAM, tuple(terms), (), 20)
+    return Budget(OF_BEAM, tuple(terms), (), 20, tuple(Uncertainty(8 * u, 10.0) for u in parts.tolist()))
 
 
 def written(folder: Path, text: str = FACTS) -> Path:
@@ -87,9 +90,13 @@ def test_the_xml_holds_the_expanded_uncertainty_with_its_unit(tmp_path: Path) ->
         found[name] = [(r.findtext(f"{SI}unit"), r.findtext(f".//{SI}valueExpandedMU")) for r in reals]
     millimetre = r"\milli\metre"
     # combined 5 parts; 1.96 times that
-    assert found["remaining correction of x"] == [(millimetre, "0.0098")]
-    assert found["remaining correction of pitch"] == [(r"\degree", "0.00588")]
-    assert {each.text for each in root.iter(f"{SI}coverageFactor")} == {"1.96", "2"}
+    assert found["remaining correction of x"] == [(millimetre, "0.0098"), (millimetre, "0.018")]
+    assert found["remaining correction of pitch"] == [(r"\degree", "0.0059"), (r"\degree", "0.011")]
+    factors = {
+        e.findtext(f"{SI}coverageFactor"): e.findtext(f"{SI}distribution")
+        for e in root.iter(f"{SI}expandedMU")
+    }
+    assert factors == {"2": "normal", "1.96": "normal", "2.23": "Student t, 10 degrees of freedom"}
     contributions = [each.text for each in root.findall(f".//{DCC}list/{DCC}quantity/{SI}real/{SI}value")]
     assert contributions[:2] == ["0.003", "0.004"]
     assert root.findtext(f".//{DCC}influenceCondition//{SI}value") == "20.4"
@@ -103,7 +110,13 @@ def test_the_sections_state_the_same(tmp_path: Path) -> None:
     text = " ".join(" ".join(row) for block in blocks if isinstance(block, Table) for row in block.rows)
     for words in ("2026-117", "Lab & Co, Munich, DE", "temperature (20.4 ± 0.8) °C", "2027-11-24", "C-1"):
         assert words in text
-    assert "remaining correction of x 0 mm 0.0050 mm 1.96 0.0098 mm" in text
+    assert "remaining correction of x 0 mm 0.0050 mm 0.0098 mm (1.96) 0.018 mm (2.23)" in text
+    assert "yaw ±110, pitch ±250 mm/m" in text
+    assert "stage positioning of the stage not stated" in text
+    assert (
+        "calibrating beam against the normal not stated not stated: not traceable; the unit was not" in text
+    )
+    assert "As found yaw +0.012°, pitch -0.004°" in text
     assert "laser Lasers, L3 0815 none: not traceable" in text
 
 
@@ -115,10 +128,10 @@ def test_the_sections_state_the_same(tmp_path: Path) -> None:
         (
             'country = "AT"',
             'country = "Austria"',
-            "line 17, column 11: customer.country: String should match",
+            "line 18, column 11: customer.country: String should match",
         ),
         ("valid_until = 2027-11-24", "valid_until = 2026-11-24", "valid_until: is not after performed"),
-        ("[operator]", "[operator", "line 19, column 10: not TOML"),
+        ("[operator]", "[operator", "line 20, column 10: not TOML"),
         ("temperature_expanded_k = 0.8", "temperature_expanded_k = nan", "should be a finite number"),
     ],
 )
