@@ -28,10 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "folder of the recording")
-    parser.add_argument(
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
         "--flat",
         action="store_true",
         help="a flat made with the laser, for altd calibrate --flat: an exposure each flat_pitch_mm",
+    )
+    kind.add_argument("--turned", action="store_true", help="the unit is turned by 180°: the second scan")
+    kind.add_argument(
+        "--no-turn",
+        action="store_true",
+        help="do not ask for the second scan, which shows the direction of the calibrating beam",
     )
 
 
@@ -46,8 +53,21 @@ def run(options: argparse.Namespace) -> int:
         config = load_beam_settings(options.config)
         if options.flat:
             config = config.model_copy(update={"scan": Raster.over(config.scan)})
+        turned = config.model_copy(update={"scan": config.scan.model_copy(update={"turned_deg": 180})})
+        if options.turned:
+            config = turned
         scanner = scanner_of(config, options.config, options.output, screen)
-        return run_scan(scanner, options.output, screen)
+        status = run_scan(scanner, options.output, screen)
+        if status or options.flat or options.no_turn or config.scan.turned_deg:
+            return status
+        second = options.output.with_name(f"{options.output.name}-turned")
+        screen.report(
+            "a second scan shows the direction of the calibrating beam: leave stage and laser as they are, "
+            f"turn the unit by 180° in its seat, and record it by altd scan --turned -o {second}"
+        )
+        if not sys.stdin.isatty() or input("Enter when it is turned, n for no second scan: ").strip():
+            return status
+        return run_scan(scanner_of(turned, options.config, second, screen), second, screen)
 
 
 def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:

@@ -88,7 +88,11 @@ exposures = 1
         said = [line.split("\r")[-1].removeprefix("\033[K") for line in shown.removesuffix("\n").split("\n")]
         assert said[0] == no_lamps
         assert said[1].startswith(f"altd scan: going on with {output}.unfinished: ")
-        assert said[2:] == [f"altd scan: 16 exposures in {output}"]
+        assert said[2] == f"altd scan: 16 exposures in {output}"
+        assert said[3].endswith(
+            f"turn the unit by 180° in its seat, and record it by altd scan --turned -o {output}-turned"
+        )
+        assert len(said) == 4
         bars = [part for part in shown.split("\r") if part.startswith("[")]
         half_or_more = "#" * (24 * number // 16)
         wanted = re.compile(rf"\[{half_or_more}\.*\] {number}/16 nodes, \d:\d\d left")
