@@ -3,21 +3,22 @@
 200 simulated units are calibrated and verified without rendering: the simulated lenses project the positions
 of the beam, a smooth random field represents print and speckle, and stages and beams have errors according to
 their limits. A tenth of the units has changed since its calibration, by twice the expanded uncertainty (k =
-2) of one of the tested numbers: scale of x or y, squareness, zero of yaw or pitch. Spots become measurements
-by altd's own maps and solver. The verification has two sets, the second with the unit turned.
+2) of one of the tested numbers: scale of x or y, squareness, zero of yaw or pitch, distance of the targets.
+Spots become measurements by altd's own maps and solver. The verification has three sets: the beam as it is
+and deflected by a wedge, then the unit turned on its seat.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from statistics import NormalDist
 
 import numpy as np
 
-from altd.calibration.verification.estimate import BeamSet, beam_set, estimate
+from altd.calibration.verification.estimate import BeamSet, Mounting, beam_set, estimate
 from altd.calibration.verification.verdict import CONFIDENCE, POWER, Judgement, Result, judge
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
@@ -39,9 +40,13 @@ PATTERN_PX = 0.035
 PATTERN_LENGTH_MM = 4.0
 WAVES = 300
 SCATTER_PX = 0.01
-CALIBRATION_LIMITS = Limits(0.002, 50.0, 0.05, 0.3)
-REFERENCE_LIMITS = Limits(0.002, 20.0, 0.02, 0.3)
-KINDS = ("scale_x_ppm", "scale_y_ppm", "square_mrad", "zero_yaw_deg", "zero_pitch_deg")
+CALIBRATION_LIMITS = Limits(0.002, 50.0, 0.05, 0.04, 0.05)
+"""As of a calibration with the unit turned on a seat of ``SEAT_MM_PER_M``."""
+REFERENCE_LIMITS = Limits(0.002, 20.0, 0.02, 0.5)
+SEAT_MM_PER_M = 0.05
+DEFLECTION_DEG = (math.degrees(math.atan(0.05)),) * 2
+DEFLECTION_SIGMA_DEG = 0.002
+KINDS = ("scale_x_ppm", "scale_y_ppm", "square_mrad", "zero_yaw_deg", "zero_pitch_deg", "target_distance_mm")
 CHECKED = dense_grid(5, 4)
 TRAVEL_MM = 60.0
 """Half of the verification's grid along x; its nodes differ from those of the calibration."""
@@ -49,13 +54,14 @@ TRAVEL_MM = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Errors of a unit since its calibration, in scale, squareness and zero."""
+    """Errors of a unit since its calibration, in scale, squareness, zero and distance of the targets."""
 
     scale_x_ppm: float = 0.0
     scale_y_ppm: float = 0.0
     square_mrad: float = 0.0
     zero_yaw_deg: float = 0.0
     zero_pitch_deg: float = 0.0
+    target_distance_mm: float = 0.0
     pattern: float = 1.0
     """Factor of the pattern, such as from dirt."""
 
@@ -113,6 +119,7 @@ class VerifiedUnit:
             name: make_lens(focal[name], name == "front", self._rng) for name in Z_MM
         }
         self._patterns = {name: _Pattern.made(self._rng) for name in Z_MM}
+        self._distance_mm = Z_MM["rear"] + self._rng.normal(0, CALIBRATION_LIMITS.target_distance_mm or 0.0)
         self.calibration = self._calibrated(seed)
 
     def _calibrated(self, seed: int) -> Calibration:
@@ -121,7 +128,8 @@ class VerifiedUnit:
         places_mm = stage.places_mm(nodes_mm, self._rng)
         targets = []
         for name, z_mm in Z_MM.items():
-            px = self._seen(name, places_mm + z_mm * stage.slope, NO_CHANGE)
+            true_z_mm = self._distance_mm if name == "rear" else z_mm
+            px = self._seen(name, places_mm + true_z_mm * stage.slope, NO_CHANGE)
             hull = convex_hull_mm(nodes_mm)
             fit = fit_lens_map(Nodes.ordinary(nodes_mm, px), hull, (WIDTH_PX, HEIGHT_PX))
             check = CrossCheck(fit.map, fit.leave_one_out_px, 1.0, 0.0)
@@ -146,30 +154,51 @@ class VerifiedUnit:
         px += change.pattern * self._patterns[name].at(places_mm)
         return px + self._rng.normal(0, SCATTER_PX, px.shape)
 
-    def verified(self, change: Change = NO_CHANGE) -> Judgement:
-        """Verify with a separate stage and mounting, in both orientations."""
+    def verified(self, change: Change = NO_CHANGE, calibration: Limits = CALIBRATION_LIMITS) -> Judgement:
+        """Verify with a separate stage and mounting, in both orientations and with a wedge."""
         stage = Stage.made(REFERENCE_LIMITS, self._rng)
         turn = self._rng.normal(0, 2e-3)
-        sets = [self._set(stage, turn, is_turned, change) for is_turned in (False, True)]
-        return judge(estimate(sets), REFERENCE_LIMITS, CALIBRATION_LIMITS)
+        wedge_deg = self._rng.normal(DEFLECTION_DEG, DEFLECTION_SIGMA_DEG)
+        seats = self._rng.normal(0, 1e-3 * SEAT_MM_PER_M, (2, 2))
+        sets = [
+            self._set(stage, turn, Mounting(False), change, seats[0]),
+            self._set(stage, turn, Mounting(False, 0.0, None, DEFLECTION_DEG), change, seats[0], wedge_deg),
+            self._set(stage, turn, Mounting(True), change, seats[1]),
+        ]
+        return judge(estimate(sets), REFERENCE_LIMITS, calibration)
 
-    def _set(self, stage: Stage, turn_rad: float, is_turned: bool, change: Change) -> BeamSet:
+    def _set(
+        self,
+        stage: Stage,
+        turn_rad: float,
+        stated: Mounting,
+        change: Change,
+        seat: FloatArray,
+        deflected_deg: FloatArray | None = None,
+    ) -> BeamSet:
         known_mm = np.array(CHECKED.nodes_mm())
         known_mm *= TRAVEL_MM / known_mm.max()
-        sign = -1.0 if is_turned else 1.0
+        sign = -1.0 if stated.turned else 1.0
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
         mounted = sign * np.array([[cos, -sin], [sin, cos]])
-        offset_mm = self._rng.normal(0, 0.5, 2)
+        deflected = np.zeros(2) if deflected_deg is None else deflected_deg
+        offset_mm = self._rng.normal(0, 0.5, 2) - Z_MM["rear"] / 2 * np.tan(np.radians(deflected))
         places_mm = stage.places_mm(known_mm, self._rng) @ mounted.T + offset_mm
-        slope = mounted @ stage.slope
+        slope = mounted @ np.tan(np.arctan(stage.slope) + np.radians(deflected)) + seat
         px = {}
         skew = 1e-3 * change.square_mrad / 2
         reads = np.array([[1 + 1e-6 * change.scale_x_ppm, skew], [skew, 1 + 1e-6 * change.scale_y_ppm]])
         zero = np.tan(np.radians([change.zero_yaw_deg, change.zero_pitch_deg]))
-        for name, z_mm in Z_MM.items():
+        for name, z_mm in (("front", 0.0), ("rear", self._distance_mm - change.target_distance_mm)):
             px[name] = self._seen(name, (places_mm + z_mm * slope) @ reads.T + z_mm * zero, change)
         measured = [self._measured(np.array([px[name][n] for name in Z_MM])) for n in range(len(known_mm))]
-        return beam_set(self.calibration, measured, known_mm, is_turned, REFERENCE_LIMITS.stage_mm or 0.0)
+        mounting = replace(
+            stated,
+            stage_mm=REFERENCE_LIMITS.stage_mm or 0.0,
+            seat_mm_per_m=SEAT_MM_PER_M,
+            deflection_sigma_deg=DEFLECTION_SIGMA_DEG,
+        )
+        return beam_set(self.calibration, measured, known_mm, mounting)
 
     def _measured(self, spots_px: FloatArray) -> Measurement:
         targets = self.calibration.targets

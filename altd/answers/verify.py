@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from altd.acquisition.scan.plan import nodes_of
 from altd.app.replay import Replay, open_replay
+from altd.app.settings import load_beam_settings
 from altd.calibration.calibrating import sha256_of_all
+from altd.calibration.file import load_calibration
 from altd.calibration.verification.document import (
     comparison,
     head_object,
@@ -21,10 +24,23 @@ from altd.calibration.verification.document import (
     residual_objects,
     set_objects,
 )
-from altd.calibration.verification.estimate import BeamSet, beam_set, estimate, why_not_aligned, why_too_few
+from altd.calibration.verification.estimate import (
+    BeamSet,
+    Mounting,
+    beam_set,
+    estimate,
+    why_not_aligned,
+    why_too_few,
+)
 from altd.calibration.verification.verdict import Judgement, Result, judge
+from altd.config import Measuring, Scan
+from altd.config.measuring import ScanLimits
 from altd.errors import BadInputError
-from altd.records import Limits, Measurement, counted, utc_text
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.measuring.calibration import Calibration
+from altd.measuring.instrument import Solution
+from altd.recording.header import RecordingHeader
+from altd.records import Limits, MeanSpots, Measurement, counted, utc_text
 from altd.records.limits import LIMIT_KEYS
 
 MAX_POSITIONS = 2000
@@ -68,8 +84,66 @@ def verify(
         "reference": None if (reference := _reference(measured)) is None else asdict(reference),
         "sets": of_sets,
         "residuals": residuals,
-        "comparison": None if before is None else comparison(before, judgement.tests, sha256),
+        "comparison": None if before is None else comparison(before, judgement.agreement, sha256),
     }
+
+
+def plan(settings: Sequence[Path], calibration_path: Path) -> dict[str, Any]:
+    """Return the tests of a planned verification without measured values; a file of settings for each scan.
+
+    The measurements are those that the calibration states at the planned positions. Raises BadInputError for
+    files that cannot be read or do not belong together.
+    """
+    configs = [load_beam_settings(path) for path in settings]
+    calibration = load_calibration(calibration_path, configs[0].unit.serial)
+    sets = [_planned(calibration, config.scan) for config in configs]
+    reasons = [
+        f"{path}: {why}" for path, one in zip(settings, sets, strict=True) if (why := why_too_few(one))
+    ]
+    used = [one for one in sets if not why_too_few(one)]
+    judgement = Judgement(Result.NOT_DECIDED, tuple(reasons), ())
+    if used:
+        reference = _largest([config.scan.limits.record for config in configs])
+        judgement = judge(estimate(used), reference, calibration.limits, reasons)
+    document = head_object(judgement, calibration.unit_serial, datetime.now(UTC), calibration.simulated)
+    if judgement.verdict is Result.PASSED:
+        document["verdict"] = "decides"
+    document |= {"format": "altd-verification-plan/1", "comparison": None}
+    for test in document["tests"]:
+        test |= {"value": None, "result": "decides" if test["result"] == Result.PASSED else test["result"]}
+    return document
+
+
+def _planned(calibration: Calibration, scan: Scan) -> BeamSet:
+    """Return the expected set of a scan by a unit without errors; unmeasurable positions are left out."""
+    mounting = _mounting(scan, scan.limits)
+    sign = -1 if mounting.turned else 1
+    known_mm = np.array([(node.x_mm, node.y_mm) for node in nodes_of(scan)])
+    slopes = np.tan(np.radians(mounting.deflection_deg))
+    targets, instrument = calibration.targets, BeamInstrument(calibration, Measuring())
+    px = np.stack([target.map.to_px(sign * (known_mm + target.z_mm * slopes)) for target in targets], axis=1)
+    scatter_px = np.concatenate([target.repeatability_px for target in targets])
+    covariance_px2 = np.diag(scatter_px**2 / scan.exposures)
+    measurements, reached = list[Measurement](), list[int]()
+    for number, spots_px in enumerate(px):
+        mean = MeanSpots(
+            calibration.target_names, spots_px, covariance_px2, 0, scan.exposures, 0, (None,) * len(targets)
+        )
+        if isinstance(solved := instrument.solve(mean), Solution):
+            quantities = instrument.quantities
+            measurements.append(Measurement(0, 0, None, 1, quantities, solved.values, solved.targets))
+            reached.append(number)
+    return beam_set(calibration, measurements, known_mm[reached], mounting)
+
+
+def _mounting(of: RecordingHeader | Scan, limits: Limits | ScanLimits | None) -> Mounting:
+    return Mounting(
+        of.turned_deg > 0,
+        0.0 if limits is None else limits.stage_mm or 0.0,
+        of.seat_mm_per_m,
+        (of.deflection_yaw_deg, of.deflection_pitch_deg),
+        of.deflection_sigma_deg,
+    )
 
 
 def _check_independent(replays: Sequence[Replay]) -> None:
@@ -104,9 +178,8 @@ def _measure(replay: Replay, progress: Callable[[int, int], None]) -> _Measured:
         if len(valid) > MAX_POSITIONS:
             raise BadInputError(path, f"has more than {MAX_POSITIONS} positions")
     header = replay.recording.header
-    stage_mm = 0.0 if header.limits is None else header.limits.stage_mm or 0.0
     beams = beam_set(
-        replay.calibration, valid, np.array(known).reshape(-1, 2), header.turned_deg > 0, stage_mm
+        replay.calibration, valid, np.array(known).reshape(-1, 2), _mounting(header, header.limits)
     )
     return _Measured(replay, beams, len(valid) + invalid.total(), invalid)
 
@@ -148,6 +221,9 @@ def _set_object(one: _Measured) -> dict[str, Any]:
         "note": header.note,
         "start": None if header.start is None else utc_text(header.start),
         "turned_deg": header.turned_deg,
+        "seat_mm_per_m": header.seat_mm_per_m,
+        "deflection_deg": one.beams.mounting.deflection_deg,
+        "deflection_sigma_deg": header.deflection_sigma_deg,
         "positions": one.positions,
         "valid": len(one.beams),
         "invalid": dict(one.invalid),
@@ -155,8 +231,11 @@ def _set_object(one: _Measured) -> dict[str, Any]:
 
 
 def _reference(measured: Sequence[_Measured]) -> Limits | None:
+    return _largest([one.replay.recording.header.limits for one in measured])
+
+
+def _largest(stated: Sequence[Limits | None]) -> Limits | None:
     """Largest limits of all sets; a limit that one set does not state is not stated."""
-    stated = [one.replay.recording.header.limits for one in measured]
     known = [limits for limits in stated if limits is not None]
     if not known or len(known) < len(stated):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -39,14 +40,21 @@ def calibrate(
     if flat is not None and not scanned:
         raise BadInputError(flat.path, "is for a scan; a plate shows no laser spot")
     flats = {} if flat is None else flats_of(flat, scanned, progress)
-    of_scans = calibrate_scans(scanned, flats, progress)
     headers = [recording.header for recording in recordings if recording.header.kind == "scan"]
+    for recording in recordings:
+        if recording.header.deflection_yaw_deg or recording.header.deflection_pitch_deg:
+            raise BadInputError(
+                recording.path, "has a deflected beam: it verifies a calibration, and makes none"
+            )
+    of_scans = calibrate_scans(scanned, flats, progress)
     limits = _limits(headers)
     celsius = [header.temperature_c for header in headers if header.temperature_c is not None]
     if turned:
         tilt = beam_tilt(of_scans.targets, turned, progress)
         of_scans = without_tilt(of_scans, tilt)
-        limits = replace(limits, beam_normal_mm_per_m=1000 * tilt.sigma)
+        seats = [header.seat_mm_per_m for header in headers if header.seat_mm_per_m is not None]
+        seated = max(seats, default=0.0) / math.sqrt(2)  # of the mean of two seatings
+        limits = replace(limits, beam_normal_mm_per_m=math.hypot(1000 * tilt.sigma, seated))
     of_plates = calibrate_plates([frames for frames in targets if frames.kind == "plate"], progress)
     both = of_scans, of_plates
     calibration = Calibration(

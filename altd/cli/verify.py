@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from altd.cli.arguments import progress_on
+from altd.errors import BadInputError
 from altd.process.standard_streams import print_lines
 
 SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict, statistics, limits"
@@ -22,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="RECORDING",
         help="folder of a set: a scan, or a measurement with known positions",
+    )
+    parser.add_argument(
+        "--plan",
+        action="store_true",
+        help="RECORDING is the settings of a planned scan: what each test will be able to detect",
     )
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"
@@ -41,13 +47,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the verdict with its tests; return 0 if passed, 1 if not."""
-    from altd.answers.verify import verify
+    from altd.answers.verify import plan, verify
     from altd.calibration.report.write import check_report, write_together
 
+    if options.plan and (options.output or options.compare):
+        raise BadInputError("--plan", "has no -o and no --compare: nothing is measured")
     names = ("verification.html", "verification.json")
     if options.output is not None:
         check_report(options.output, names, "-o DIR")
-    document = verify(options.recordings, options.calibration, options.compare, progress_on("frames"))
+    if options.plan:
+        document = plan(options.recordings, options.calibration)
+    else:
+        document = verify(options.recordings, options.calibration, options.compare, progress_on("frames"))
     text = json.dumps(document, allow_nan=False)
     if options.output is not None:
         from altd.calibration.report.html import html_page
@@ -61,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         print_lines(*_lines(document))
         if options.output is not None:
             print_lines(f"written: {', '.join(str(options.output / name) for name in names)}")
-    return 0 if document["verdict"] == "passed" else 1
+    return 0 if document["verdict"] in ("passed", "decides") else 1
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
@@ -69,14 +80,12 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
     simulated = ", SIMULATED" if document["origin"] == "simulated" else ""
     yield f"unit {document['unit']}{simulated}: {document['verdict'].upper()}"
     yield from (f"  {reason}" for reason in document["reasons"])
-    columns = "{:<36}{:>11}{:>13}{:>11}{:>12}  {}"
+    columns = "{:<36}{:>11}{:>13}{:>11}{:>12}{:>10}  {}"
     if document["tests"]:
-        yield columns.format("test", "found", "uncertainty", "limit", "detectable", "result")
+        yield columns.format("test", "found", "uncertainty", "limit", "detectable", "required", "result")
     for test in document["tests"]:
-        numbers = (_number(test, key) for key in ("value", "sigma", "limit", "detectable"))
-        yield columns.format(
-            f"{test['name']}, {test['unit'].strip()}", *numbers, test["why_not"] or test["result"]
-        )
+        numbers = (_number(test, key) for key in ("value", "sigma", "limit", "detectable", "required"))
+        yield columns.format(f"{test['name']}, {test['unit'].strip()}", *numbers, test["result"])
     if (change := document["comparison"]) is None:
         return
     yield f"compared with {change['created']} ({change['verdict']}):"

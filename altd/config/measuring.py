@@ -164,6 +164,15 @@ class Scan(Table):
     """Repetitions of a node with a bad spot."""
     turned_deg: Literal[0, 180] = 0
     """Turn of the unit about its own z axis, degrees. For 180, stage and beam are as in the scan before."""
+    seat_mm_per_m: Uncertainty = None
+    """Scatter of the unit's z axis from one seating to the next, mm/m, 1 sigma per axis (`verify.md`)."""
+    deflection_yaw_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    """Known deflection of the beam to +x of the stage, degrees, as by a wedge. For a verification only
+    (`verify.md`)."""
+    deflection_pitch_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    """The same to +y, degrees."""
+    deflection_sigma_deg: Uncertainty = None
+    """Standard uncertainty of the deflection, per axis, degrees."""
     temperature_c: Celsius | None = None
     """Temperature of the frame in the scan, °C, if it is known."""
     limits: ScanLimits = ScanLimits()

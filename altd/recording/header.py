@@ -27,6 +27,7 @@ from altd.files.table import NAME_PATTERN, Celsius
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
 from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Origin
+from altd.records.limits import MAX_LIMIT
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -213,6 +214,14 @@ class RecordingHeader(_Header):
     """Self-check of a ``scan``, if there was a calibration for it."""
     turned_deg: Annotated[float, AfterValidator(_checked_turn)] = 0.0
     """Turn of the unit about its own z axis in a ``scan``, degrees; stage and beam were not moved."""
+    seat_mm_per_m: Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None = None
+    """Scatter of the unit's z axis from one seating to the next, 1 sigma per axis; None: not stated."""
+    deflection_yaw_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    """Known deflection of the beam to +x of the stage, degrees."""
+    deflection_pitch_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    """The same to +y, degrees."""
+    deflection_sigma_deg: Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None = None
+    """Standard uncertainty of the deflection, per axis; None: not stated."""
     limits: Limits | None = None
     """Uncertainties of a ``scan`` that it cannot measure."""
     temperature_c: Celsius | None = None

@@ -139,7 +139,7 @@ def fingerprint(config: Config) -> Facts:
             facts[f"targets.{target.name}.glass_index"] = target.glass.index
         facts[f"targets.{target.name}.camera"] = target.camera
     changeable = {"settle_s", "retries", "when_bad", "flat_pitch_mm", "flat_margin_mm", "temperature_c"}
-    grid = config.scan.model_dump(exclude={*changeable, "limits", "grid"})
+    grid = config.scan.model_dump(exclude={*changeable, "limits", "grid"}, exclude_none=True)
     facts |= {f"scan.{key}": value for key, value in grid.items()}
     stated = config.scan.limits.model_dump(exclude_none=True)
     facts |= {f"scan.limits.{key}": value for key, value in stated.items()}

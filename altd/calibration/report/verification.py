@@ -68,14 +68,14 @@ def _origin(simulated: bool) -> list[Block]:
 
 def _verdict(document: Mapping[str, Any]) -> Block:
     verdict = document["verdict"]
-    made = sum(test["limit"] is not None for test in document["tests"])
+    made = sum(test["detectable"] is not None for test in document["tests"])
     confidence = (
-        f"{counted(made, 'test')}: a unit without an error passes all of them with a probability of at "
+        f"{counted(made, 'test')}: a unit without an error fails none of them with a probability of at "
         f"least {100 * document['confidence']:g} %."
     )
     headline = {
-        "passed": "Passed: the unit's errors agree with its stated uncertainty.",
-        "failed": "Failed: the unit's errors exceed its stated uncertainty. Do not measure with it.",
+        "passed": "Passed: the unit's errors are within its stated uncertainty and the requirement.",
+        "failed": "Failed: an error exceeds the stated uncertainty or the requirement. Do not measure.",
         "not decided": "Not decided.",
     }[verdict]
     reasons = [f"{reason[0].upper()}{reason[1:]}." for reason in document["reasons"]]
@@ -89,7 +89,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
     rows = tuple(
         (
             test["name"],
-            *(_number(test, test[key]) for key in ("value", "sigma", "limit", "detectable")),
+            *(_number(test, test[key]) for key in ("value", "sigma", "limit", "detectable", "required")),
             test["result"],
         )
         for test in tests
@@ -103,20 +103,24 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
     blocks: list[Block] = [
         Heading("Tests"),
         Table(
-            ("", "found", "standard uncertainty", "limit", "smallest detectable error", ""),
+            ("", "found", "standard uncertainty", "limit", "smallest detectable error", "required", ""),
             rows,
-            (0.26, 0.14, 0.16, 0.13, 0.17, 0.14),
+            (0.25, 0.13, 0.13, 0.12, 0.14, 0.11, 0.12),
             levels,
         ),
         Words(
             "Found: error of the unit. For a standard deviation: the experimental one, and "
             "the stated one as its uncertainty. An error of the smallest detectable size fails the test with "
-            f"a probability of {100 * document['power']:g} %; a smaller one may pass."
+            f"a probability of {100 * document['power']:g} %; a smaller one may pass. Required: error that "
+            "alone uses up ±1 mm or ±1 mm/m; a test that cannot detect it is not decided. Greatest error: "
+            "all errors of a quantity together, at the worst place of area and range, with twice the "
+            "standard deviation. It passes if it is within the requirement by its expanded uncertainty, "
+            "k = 2, and fails if it is beyond by as much (guarded acceptance and rejection, JCGM 106)."
         ),
     ]
-    not_made = [f"{test['name']} ({test['why_not']})" for test in tests if test["why_not"]]
-    if not_made:
-        blocks.append(Words(f"Not tested: {'; '.join(not_made)}."))
+    undecided = [f"{test['name']} ({test['why_not']})" for test in tests if test["why_not"]]
+    if undecided:
+        blocks.append(Words(f"Not decided: {'; '.join(undecided)}."))
     freedom = [
         f"{test['name']} {test['degrees_of_freedom']:.1f}"
         for test in tests
@@ -124,9 +128,8 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
     ]
     blocks += [
         Words(
-            f"Effective degrees of freedom: {', '.join(freedom)}. Not part of this procedure: the scale of "
-            "yaw and pitch (the beam keeps its direction), the zero of x and y and the rotation about z (the "
-            "mounting)."
+            f"Effective degrees of freedom: {', '.join(freedom)}. Not part of this procedure: the zero of "
+            "x and y and the rotation about z (the mounting)."
         ),
         Table(("standard uncertainty from", *_PARTS), parts, (0.4, 0.2, 0.2, 0.2)),
     ]
@@ -179,15 +182,26 @@ def _sets(sets: Sequence[Mapping[str, Any]]) -> list[Block]:
             )
         invalid = ", ".join(f"{reason} {count}" for reason, count in one["invalid"].items())
         turned = f"{one['turned_deg']:g}"
+        deflected = ", ".join(f"{angle:.4g}" for angle in one["deflection_deg"])
         rows.append(
-            (str(number), turned, f"{one['valid']} of {one['positions']}", invalid or "none", *mounted)
+            (
+                str(number),
+                turned,
+                deflected,
+                f"{one['valid']} of {one['positions']}",
+                invalid or "none",
+                *mounted,
+            )
         )
     return [
         Heading("Sets"),
         Table(
-            ("set", "turned, °", "valid", "not valid", "zero x, y, mm", "rotation, mrad", "yaw, pitch, °"),
+            (
+                *("set", "turned, °", "deflected, °", "valid", "not valid"),
+                *("zero x, y, mm", "rotation, mrad", "yaw, pitch, °"),
+            ),
             tuple(rows),
-            (0.06, 0.1, 0.12, 0.2, 0.2, 0.14, 0.18),
+            (0.05, 0.1, 0.13, 0.11, 0.13, 0.18, 0.13, 0.17),
         ),
         Words("Zero, rotation and direction of a set depend on its mounting; no test is based only on them."),
     ]

@@ -44,14 +44,10 @@ def head_object(judgement: Judgement, unit: str, created: datetime, is_simulated
 
 def _test_object(test: LimitTest) -> dict[str, Any]:
     return {
-        **{
-            key: _short(value)
-            for key, value in asdict(test).items()
-            if key not in ("parts", "is_optional", "why_not")
-        },
+        **{key: _short(value) for key, value in asdict(test).items() if key not in ("parts", "why_not")},
         "parts": {name: _short(sigma) for name, sigma in test.parts.items()},
         "result": str(test.result),
-        "why_not": test.why_not,
+        "why_not": test.why_undecided,
     }
 
 

@@ -39,7 +39,11 @@ def scanned(folder: Path, mounting: Mounting, stream: int, seed: int = SEED) -> 
 def scans(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("turned")
     turned = Mounting(MISALIGNED.scale_ppm, MISALIGNED.square_mrad, MISALIGNED.tilt_mm_per_m, is_turned=True)
-    return scanned(folder / "a", MISALIGNED, 1), scanned(folder / "b", turned, 2)
+    both = scanned(folder / "a", MISALIGNED, 1), scanned(folder / "b", turned, 2)
+    for path in both:
+        header = json.loads((path / "recording.json").read_text())
+        (path / "recording.json").write_text(json.dumps(header | {"seat_mm_per_m": 0.1}))
+    return both
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +83,8 @@ def test_two_scans_remove_it_to_a_hundredth_of_the_accuracy_that_is_required(
     for zero in zero_mm_per_m(both):
         assert math.degrees(abs(zero) * 1e-3) < 0.005
     assert both.limits.beam_normal_mm_per_m is not None
-    assert 0.002 < both.limits.beam_normal_mm_per_m < 0.02
+    of_seats = 0.1 / math.sqrt(2)  # the mean of two seatings
+    assert 0.002 < math.sqrt(both.limits.beam_normal_mm_per_m**2 - of_seats**2) < 0.02
     assert both.limits.stage_scale_ppm == 120.0, "a turned unit does not show the stage's scale"
 
 

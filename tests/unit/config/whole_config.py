@@ -143,6 +143,9 @@ columns = 6
 pitch_mm = 25.0
 order = "serpentine"
 turned_deg = 180
+seat_mm_per_m = 0.05
+deflection_yaw_deg = 2.0
+deflection_sigma_deg = 0.001
 
 [scan.limits]
 stage_scale_ppm = 50.0
