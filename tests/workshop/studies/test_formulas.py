@@ -20,6 +20,7 @@ from studies.beam import grown, slanted_poses
 from studies.budget import monte_carlo
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
+from studies.learnt_pattern import Power, left
 from studies.table_3_1 import STEP_MM, displaced_poses
 from studies.table_3_3 import between_nodes
 from studies.table_3_4 import principal_components
@@ -126,3 +127,21 @@ def test_without_its_data_a_study_is_refused_in_one_line_and_no_row_is_left_out(
     monkeypatch.setattr(study, data, tmp_path)
     with pytest.raises(BadInputError, match=said):
         study.run(lambda _what: None)
+
+
+@pytest.mark.parametrize("power", ["constant", "estimated"])
+@pytest.mark.parametrize("wave", [0.5, 1.0, 1.7])
+def test_spots_learn_the_share_of_a_wave_that_they_do_not_follow(power: Power, wave: float) -> None:
+    """Spots of sigma 1 at all places of a period, each fitted with the weights of photons."""
+    x = np.arange(-6.0, 6.0, 0.05)
+    spot = np.exp(-(x**2) / 2)
+    fitted = np.stack([x * spot] + [spot] * (power == "estimated"))  # of the place, of the power
+    weighted = fitted / spot
+    light = seen = 0.0
+    for place in np.linspace(0, 2 * math.pi / wave, 60, endpoint=False):
+        texture = np.cos(wave * (place + x))
+        excess = spot * texture
+        rest = excess - fitted.T @ np.linalg.solve(weighted @ fitted.T, weighted @ excess)
+        light += float(spot @ texture**2)
+        seen += float(rest @ texture)
+    assert 1 - seen / light == pytest.approx(float(left(np.array(wave), 1, power)), abs=1e-3)
