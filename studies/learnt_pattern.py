@@ -349,8 +349,8 @@ observable: the map of the scan takes up the displacement by them.
 
 Places 28 mm apart leave most of the area unlit, and a flat of them is no better than none. A film of 10 mm,
 which takes a tenth of the light, is not recognised: the beams below it, {FILM_REACH_MM:g} mm from its middle
-at most, err as without a flat. The smooth fall-off of a lens, beams of another size and beams at a slant are
-not drawn.
+at most, err as without a flat. The smooth fall-off of a lens, nodes beyond the area of the spots, beams of
+another size and beams at a slant are not drawn.
 """,
         figure=_plot(rms),
         caption="Left: texture that is not learnt, by theory. Right: error after each number of passes",
