@@ -13,6 +13,7 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.report.budget import Budget, beams_of, budget_of
 from altd.calibration.result import CalibrationResult
 from altd.instruments.beam.solver import fit_beam
+from altd.instruments.beam.systematics import ALUMINIUM_PER_K
 from altd.mapping.tensor_map import tensor_basis
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.reader import open_recording
@@ -29,8 +30,8 @@ QUESTION = "What makes a measurement uncertain, and does the linear budget agree
 SEED = 301
 DRAWS = 10_000
 EXPOSURES = 20
-STATED = Limits(0.005, 50.0, 0.05, 0.3, 0.05)
-"""Limits of an ordinary stage and mounting: the example of the recording's format."""
+STATED = Limits(0.005, 50.0, 0.05, 0.3, 0.05, 10.0)
+"""Limits of an ordinary stage, mounting and place: the example of the recording's format, and 10 K."""
 UNIT_A = Path(__file__).resolve().parents[2] / "shared" / "data" / "unit-a" / "scan"
 """A unit drawn by another renderer; beside the checkout, not in it."""
 _AXES = ("x", "y", "yaw", "pitch")
@@ -70,14 +71,14 @@ def run(progress: Progress) -> Result:
         text=f"""
 Each row is the root mean square over beams that are even over the first target and the stated range of
 yaw and pitch. Stage and mounting are stated with {STATED.stage_scale_ppm:g} ppm,
-{STATED.stage_square_mrad:g} mrad, {STATED.beam_normal_mm_per_m:g} mm/m and
-{STATED.target_distance_mm:g} mm. A measurement has {EXPOSURES} exposures.
+{STATED.stage_square_mrad:g} mrad, {STATED.beam_normal_mm_per_m:g} mm/m,
+{STATED.target_distance_mm:g} mm and {STATED.temperature_k:g} K. A measurement has {EXPOSURES} exposures.
 
 The simulation draws {DRAWS} times all inputs at once: scale and angle of the stage, the calibrating beam's
-direction, the distance of the rear target, the error of the maps, print and speckle, and single exposures. It
-sends the drawn beam through the drawn unit, and measures it by the maps as they are in the calibration. The
-maps themselves, and what they state of their error, come from the calibration; so the simulation checks how
-the terms are added, not their size.
+direction, the distance of the rear target, the effects of heat on it and on the pictures, the error of the
+maps, print and speckle, and single exposures. It sends the drawn beam through the drawn unit, and measures it
+by the maps as they are in the calibration. The maps themselves, and what they state of their error, come from
+the calibration; so the simulation checks how the terms are added, not their size.
 """,
         figure=_figure(budgets),
         caption="Contributions to yaw",
@@ -113,11 +114,13 @@ def monte_carlo(calibration: Calibration, draws: int, rng: np.random.Generator) 
         square_x, square_y = rng.normal(0, (limits.stage_square_mrad or 0) * 1e-3, 2)
         stage = np.array([[scale_x, square_x], [square_y, scale_y]])
         tilt = rng.normal(0, (limits.beam_normal_mm_per_m or 0) * 1e-3, 2)
+        # heat moves the cameras and the targets, each on its own (docs/budget.md, Temperature)
+        farther, smaller = 1 + rng.normal(0, (limits.temperature_k or 0) * ALUMINIUM_PER_K, 2)
         points = []
         for number, target in enumerate(targets):
             true_z_mm = target.z_mm + (rng.normal(0, limits.target_distance_mm or 0) if number else 0.0)
-            met_mm = start + slopes * (true_z_mm - z_mm[0])
-            label_mm = np.linalg.solve(stage, met_mm - tilt * true_z_mm)
+            met_mm = start + slopes * (true_z_mm * farther - z_mm[0])
+            label_mm = np.linalg.solve(stage, met_mm - tilt * true_z_mm) / smaller
             points.append(_measured(target, label_mm, rng))
         measured = fit_beam(z_mm, points, np.eye(2 * len(points)))
         truth = [start[0], start[1], *(math.degrees(math.atan(slope)) for slope in slopes)]
