@@ -58,16 +58,25 @@ def run(options: argparse.Namespace) -> int:
             config = turned
         scanner = scanner_of(config, options.config, options.output, screen)
         status = run_scan(scanner, options.output, screen)
-        if status or options.flat or options.no_turn or config.scan.turned_deg:
+        is_of_verification = config.scan.deflection_yaw_deg or config.scan.deflection_pitch_deg
+        if status or options.flat or options.no_turn or config.scan.turned_deg or is_of_verification:
             return status
         second = options.output.with_name(f"{options.output.name}-turned")
         screen.report(
             "a second scan shows the direction of the calibrating beam: leave stage and laser as they are, "
             f"turn the unit by 180° in its seat, and record it by altd scan --turned -o {second}"
         )
-        if not sys.stdin.isatty() or input("Enter when it is turned, n for no second scan: ").strip():
+        if not sys.stdin.isatty() or not _is_turned():
             return status
         return run_scan(scanner_of(turned, options.config, second, screen), second, screen)
+
+
+def _is_turned() -> bool:
+    """Ask whether the unit is turned; the end of input counts as no."""
+    try:
+        return not input("Enter when it is turned, n for no second scan: ").strip()
+    except EOFError:
+        return False
 
 
 def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:

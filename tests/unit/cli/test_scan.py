@@ -25,6 +25,7 @@ class Console(io.StringIO):
     [
         ([], 0, "\n", True, [(0, "scan"), (180, "scan-turned")], True),
         ([], 0, "n\n", True, [(0, "scan")], True),
+        ([], 0, "", True, [(0, "scan")], True),
         ([], 0, "\n", False, [(0, "scan")], True),
         ([], 1, "\n", True, [(0, "scan")], False),
         (["--no-turn"], 0, "\n", True, [(0, "scan")], False),
