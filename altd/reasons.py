@@ -281,7 +281,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     SIMULATED = (
         "simulated", _WARNING, 0, StatusGroup.SIMULATED, _CHECK_FUNCTION,
-        "SIMULATED: not live",
+        "SIMULATED, not live",
         _NOT_LIVE,
         "frames or calibration are from a simulator",
     )  # fmt: skip

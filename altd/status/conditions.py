@@ -31,7 +31,7 @@ class Condition(StrEnum):
     )  # fmt: skip
     UNKNOWN_REASON = (
         "unknown_reason", _FAILURE,
-        "a reason that is not known",
+        "the reason is unknown",
         "update or restart the unit, and report it",
         "an unknown reason, or none for an invalid measurement: a defect",
     )  # fmt: skip

@@ -272,7 +272,7 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
             assert by_opcua["x_mm"].status is expected
             assert by_opcua["health"].value == Signal.CHECK_FUNCTION.number
             os.write(console, b"status\r")
-            read_until(console, "SIMULATED: not live")
+            read_until(console, "SIMULATED, not live")
             played, not_trusted = 0b11 << 12, 1 << 15
             assert int.from_bytes(_registers(modbus, 0, 1)) == played | (1 if rehearsal else not_trusted)
             unit = _registers(modbus, 300, 50)

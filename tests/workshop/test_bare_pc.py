@@ -233,7 +233,7 @@ def test_the_steps_lead_to_a_unit_that_measures(release: Path, machine: BareDebi
     assert all(float(rms_mm) < 0.02 for rms_mm in judged.groups())
 
     started = technician.follow("8. ")
-    assert "SIMULATED: not live" in started  # and so no value: a service does not rehearse
+    assert "SIMULATED, not live" in started  # and so no value: a service does not rehearse
     assert GOOD in started
     technician.enter("systemctl is-active altd && systemctl is-enabled altd && systemctl stop altd")
 

@@ -38,7 +38,9 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scan_of(folder / "scan", *THREE, exposures=2)
     done = altd_here("calibrate", folder / "scan", "-o", folder / "cal.json", "--report", folder / "report")
     assert (done.status, done.err) == (0, "")
-    assert [line.split()[0] for line in done.out.splitlines()[2:5]] == ["front", "middle", "rear"]
+    head = next(n for n, line in enumerate(done.out.splitlines()) if line.startswith("target "))
+    rows = done.out.splitlines()[head + 1 :][:3]
+    assert [line.split()[0] for line in rows] == ["front", "middle", "rear"], done.out
     return folder
 
 

@@ -40,7 +40,7 @@ async def path(tmp_path: Path, published: PublishedUnit) -> AsyncIterator[Path]:
         yield tmp_path / "altd.sock"
 
 
-NOT_JSON = "/", "/stream", "/metrics", "/diagnostics", "}"
+NOT_JSON = "/", "/reasons", "/stream", "/metrics", "/diagnostics", "}"
 """Pages, streams, numbers for Prometheus, and what needs a name."""
 
 
