@@ -119,6 +119,9 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
     markers = "".join(f"    {mark}: a mark\n" for mark in MARKS)
     (tmp_path / "pytest.ini").write_text(f"[pytest]\nmarkers =\n{markers}")
     ran = tmp_path / "ran"
+    stat, number = tmp_path / "stat", f"len(open({str(ran)!r}).read()) * 10**6"
+    stat.write_text("cpu  0 0 0 0 0 0 0 0 0 0\n")
+    steal = f"open({str(stat)!r}, 'w').write('cpu  0 0 0 0 0 0 0 %d 0 0' % ({number}))"
     note = f"def note(name):\n    open({str(ran)!r}, 'a').write(name + ' ')\n"
     (tmp_path / "tests" / "unit" / "test_unit.py").write_text(
         f"{note}def test_bad():\n    note('unit')\n    assert False\n"
@@ -128,7 +131,7 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
         "@pytest.mark.real_time\ndef test_late():\n    note('real_time')\n"
         f"    assert open({str(ran)!r}).read().count('real_time') == 2\n"
         "@pytest.mark.waits\ndef test_waits():\n    note('waits')\n"
-        "@pytest.mark.alone\ndef test_alone():\n    note('alone')\n    assert False\n"
+        f"@pytest.mark.alone\ndef test_alone():\n    note('alone')\n    {steal}\n    assert False\n"
     )
     done = subprocess.run(
         [tmp_path / ".ci" / "tests"],
@@ -138,13 +141,15 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
             "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
             "PYTEST_ADDOPTS": "-p xdist",
             "TURN": "",
+            "STAT": str(stat),
         },
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 1
-    assert sorted(ran.read_text().split()) == ["alone", "alone", "real_time", "real_time", "unit", "waits"]
+    assert sorted(ran.read_text().split()) == [*4 * ["alone"], "real_time", "real_time", "unit", "waits"]
+    assert done.stdout.count("% of the processors away") == 3
     assert "altd: tests failed: core alone\n" in done.stderr
     listed = done.stdout.partition("altd: failed at the first try, and repeated:\n")[2].split()
     assert listed == ["tests/system/test_system.py::test_late", "tests/system/test_system.py::test_alone"]
