@@ -191,7 +191,7 @@ async def by_node(url: str, **asked: Any) -> dict[str, Any]:
 
 async def read_by_node(port: int, *keys: str) -> dict[str, Any]:
     """The nodes that node-opcua reads of a daemon, once its server has started and has a measurement."""
-    async with asyncio.timeout(200):
+    async with asyncio.timeout(400):  # a server that gives way starts late on a busy machine
         while True:
             answer = await by_node(f"opc.tcp://127.0.0.1:{port}/altd", keys=keys)
             found: dict[str, Any] = answer.get("read", {})

@@ -42,7 +42,8 @@ STATE_INTERVAL_S = 1.0
 """Maximum time between two state messages; the state is also sent when it changes."""
 TAKE_TIMEOUT_S = 10.0
 """Time after which a server that reads nothing, or sends nothing, is restarted."""
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 180.0
+"""The start takes seconds of a processor, which a busy computer gives to other programs first."""
 END_TIMEOUT_S = 2.0
 PIPE_BYTES = 4096
 """Maximum size of lines that wait in the kernel: two measurements; more would be old when they are read."""

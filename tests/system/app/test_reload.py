@@ -307,7 +307,9 @@ def test_each_address_that_is_taken_at_the_start_is_served_when_it_is_free(
             unit.daemon.wait_until_valid()
             places = [f"{name} 127.0.0.1:{port}" for name, port in names.items()]
             all_places, states = [*places, f"local {own_unit.folder}/s"], {}
-            deadline_s = time.monotonic() + 150.0  # OPC UA: 30 s between tries, 60 s to start
+            deadline_s = (
+                time.monotonic() + 300.0
+            )  # OPC UA: 30 s between tries, and it gives way while it starts
             while set(states.values()) != {"ok"} and time.monotonic() < deadline_s:
                 components = unit.get("/api/status")["components"]
                 states = {place: components[place]["state"] for place in all_places}
