@@ -15,6 +15,7 @@ from weakref import WeakSet
 
 import pytest
 
+from altd.acquisition.locating import Locating
 from altd.ports import Stop
 from altd.runtime.threads import DeviceThread
 
@@ -33,13 +34,15 @@ class FakeClock:
         self._idle: set[threading.Event] = set()
         self._calls: set[asyncio.Future[Any]] = set()
         self._devices: list[DeviceThread] = []
+        self._locating: list[_Arrived] = []
         self._ended = threading.Event()
 
     @classmethod
     def of_loop(cls, now_ns: int = 10**9) -> Self:
         """One that the timers of the running loop obey too, such as those of ``asyncio.timeout``.
 
-        Time passes only while nothing is under way in ``asyncio.to_thread``, nor in a device's thread.
+        Time passes only while nothing is under way in ``asyncio.to_thread``, in a device's thread, or in the
+        one that locates spots.
         """
         clock, loop = cls(now_ns), asyncio.get_running_loop()
         clock.watch_devices()
@@ -143,7 +146,7 @@ class FakeClock:
     @property
     def _has_threads_waiting(self) -> bool:
         busy = sum(device._turn.locked() for device in self._devices)  # noqa: SLF001
-        return len(self._idle) >= busy
+        return len(self._idle) >= busy and all(thread.is_idle for thread in self._locating)
 
     async def stop(self, task: asyncio.Task[None]) -> None:
         """Cancel a task, and let pass what time it takes to be gone."""
@@ -177,7 +180,44 @@ def _begin_and_note(device: DeviceThread, name: str) -> None:
         clock._devices.append(device)  # noqa: SLF001
 
 
+class _Arrived(threading.Event):
+    """The event that wakes the locating thread, which is idle while it waits for it."""
+
+    _is_waited_for, has_ended = True, False
+
+    @property
+    def is_idle(self) -> bool:
+        return self.has_ended or (self._is_waited_for and not self.is_set())
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self._is_waited_for = True
+        try:
+            return super().wait(timeout)
+        finally:
+            self._is_waited_for = False
+
+
+_prepare, _locate_all = Locating.__init__, Locating._locate_all  # noqa: SLF001
+
+
+def _prepare_and_note(locating: Locating[Any], *arguments: Any, **named: Any) -> None:
+    _prepare(locating, *arguments, **named)
+    locating._arrived = arrived = _Arrived()  # noqa: SLF001
+    for clock in _WATCHING:
+        clock._locating.append(arrived)  # noqa: SLF001
+
+
+def _locate_all_and_note(locating: Locating[Any], *arguments: Any) -> None:
+    try:
+        _locate_all(locating, *arguments)
+    finally:
+        if isinstance(arrived := locating._arrived, _Arrived):  # noqa: SLF001
+            arrived.has_ended = True
+
+
+pytest.MonkeyPatch().setattr(Locating, "_locate_all", _locate_all_and_note)
 pytest.MonkeyPatch().setattr(DeviceThread, "__init__", _begin_and_note)
+pytest.MonkeyPatch().setattr(Locating, "__init__", _prepare_and_note)
 
 
 async def stop(task: asyncio.Task[None]) -> None:
