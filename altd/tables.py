@@ -23,6 +23,7 @@ from altd.errors import BadInputError, escaped
 from altd.files.documents import line_of
 from altd.files.writing import replacing
 from altd.records import Quantities, Quantity
+from altd.records.measurement import UNITS_OF_PRODUCTS
 
 if TYPE_CHECKING:
     import pyarrow
@@ -93,6 +94,15 @@ def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan:
             for quantity in quantities.of_unit
             if quantity.has_sigma
         ),
+        *(
+            Column(
+                name,
+                Type.NUMBER,
+                UNITS_OF_PRODUCTS[sum(quantities.joint[at].endswith("_per_m") for at in places)],
+                "joint uncertainty of the two",
+            )
+            for name, *places in _covariances(quantities.joint)
+        ),
     ]
     for target in targets:
         columns += [
@@ -115,16 +125,27 @@ def _of_quantity(prefix: str, quantity: Quantity, meaning: str) -> Column:
     return Column(f"{prefix}{quantity.key}", Type.NUMBER, quantity.unit, meaning)
 
 
-def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:
+def _covariances(joint: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Return the names of the columns of a covariance, with row and column of the matrix."""
+    return [
+        (f"covariance_{one}_{other}", row, row + more)
+        for row, one in enumerate(joint)
+        for more, other in enumerate(joint[row:])
+    ]
+
+
+def flat_row(document: Mapping[str, Any], joint: Sequence[str] = ()) -> dict[str, Value]:
     """Return a measurement's object as a row: ``sigma.x_mm`` becomes ``sigma_x_mm``.
 
     Likewise ``front.x_mm`` becomes ``front_x_mm``; ``targets.t1.x_mm`` of a row of targets becomes
-    ``t1_x_mm``.
+    ``t1_x_mm``. ``joint`` names the rows of ``covariance``.
     """
     row: dict[str, Value] = {}
     for key, value in document.items():
         if key == "targets":
             row |= flat_row(value)
+        elif key == "covariance":
+            row |= {name: value[one][other] for name, one, other in _covariances(joint)}
         elif isinstance(value, Mapping):
             row |= {f"{key}_{inner}": of_inner for inner, of_inner in value.items()}
         elif isinstance(value, list):

@@ -135,7 +135,7 @@ def _output(question: ReplayOptions, replay: AnyReplay) -> Iterator[Add]:
         return
     columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
     with table_in(question.output, question.form, columns, _about(question, replay)) as add:
-        yield lambda document: add(flat_row(document))
+        yield lambda document: add(flat_row(document, replay.quantities.joint))
 
 
 def _about(question: ReplayOptions, replay: AnyReplay) -> dict[str, Any]:

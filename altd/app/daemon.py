@@ -46,6 +46,7 @@ from altd.app.self_check import check_parts_of, fps_of, geometry_of, why_uncheck
 from altd.config import Config, LiveCameraSettings
 from altd.devices.camera_lamps import CameraLampsSettings, CameraSwitchesSettings
 from altd.errors import BadInputError, one_line, unwrap_group
+from altd.instruments.beam.points import MachinePoints
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.frame_chain import Provenance, Seen
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
@@ -117,6 +118,7 @@ class Daemon:
             identity,
             None if self._inclination is None else self._inclination.sense,
             rehearsal,
+            *([MachinePoints(config.machine, config.installation).finish] if config.machine else []),
         )
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)

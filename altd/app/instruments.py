@@ -97,7 +97,9 @@ def _beam(
 ) -> _Parts:
     measuring = config.measuring
     has_inclinometer = config.inclinometer is not None
-    instrument = BeamInstrument(calibration, measuring, config.installation, celsius, has_inclinometer)
+    instrument = BeamInstrument(
+        calibration, measuring, config.installation, celsius, has_inclinometer, config.machine
+    )
     stale_after_s, is_switched = measuring.stale_after_s, bool(config.switched_targets)
     if config.switches is not None:  # no measurement while the glasses settle
         stale_after_s += config.switches.settle_s * (1.0 + MAX_PAUSE_SHARE)

@@ -42,6 +42,8 @@ def _rows() -> Iterator[dict[str, Any]]:
         FAR,
         FLOAT_BLOCK,
         HEADER,
+        JOINT,
+        MACHINE,
         NEAR,
         PER_UNIT,
         PLATE_BLOCK,
@@ -62,6 +64,8 @@ def _rows() -> Iterator[dict[str, Any]]:
         "relative": RELATIVE.rows,
         "near": NEAR.rows,
         "far": FAR.rows,
+        "joint": JOINT.rows,
+        "machine": MACHINE.rows,
     }
     for block, rows in blocks.items():
         for row in rows:

@@ -18,7 +18,7 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.loading import load_config
 from altd.config.measuring import Maintenance, Measuring, Scan, SelfCheckSettings
-from altd.config.unit import Installation, RowSettings, Target, Unit
+from altd.config.unit import Installation, Machine, MachinePoint, RowSettings, Target, Unit
 from altd.config.whole import Config
 from altd.devices.aravis import AravisCameraSettings
 from altd.devices.camera_lamps import CameraLampsSettings
@@ -44,6 +44,8 @@ __all__ = [
     "KeptFrames",
     "LiveCameraSettings",
     "LocalSettings",
+    "Machine",
+    "MachinePoint",
     "Maintenance",
     "Measuring",
     "ModbusRtuPortSettings",

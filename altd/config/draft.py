@@ -21,13 +21,13 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings
 from altd.config.measuring import Measuring
 from altd.config.places import Keys
-from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
+from altd.config.unit import Installation, Machine, Plate, RowSettings, Target, Unit
 from altd.config.whole import Config
 from altd.devices.settings import LiveCameraSettings
 
 _TABLES = (
-    *("unit", "chain", "plate", "measuring", "installation", "modbus_tcp", "http", "mqtt", "opcua"),
-    *("lamps", "switches", "indicators", "inclinometer", "stage", "history"),
+    *("unit", "chain", "plate", "measuring", "installation", "machine", "modbus_tcp", "http", "mqtt"),
+    *("opcua", "lamps", "switches", "indicators", "inclinometer", "stage", "history"),
 )
 
 
@@ -42,6 +42,7 @@ class Draft:
     cameras: Mapping[str, drivers.AnyCameraSettings | None]
     measuring: Measuring | None
     installation: Installation | None
+    machine: Machine | None
     modbus_tcp: ModbusTcpSettings | None
     http: HttpSettings | None
     mqtt: MqttSettings | None

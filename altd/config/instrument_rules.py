@@ -34,6 +34,20 @@ def beam(draft: Draft) -> Iterator[Fault]:
         yield Fault(("targets", len(draft.targets) - 1, "switched"), text)
 
 
+def machine(draft: Draft) -> Iterator[Fault]:
+    """Check that the machine's points have names of their own, and only one roll."""
+    if draft.machine is None:
+        return
+    names = [point.name for point in draft.machine.points]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            text = f"{shown(name)} is already the name of a point; choose another"
+            yield Fault(("machine", "points", number, "name"), text)
+    if draft.machine.roll_deg is not None and draft.inclinometer is not None:
+        text = "roll is already measured by the inclinometer; possible: without roll_deg"
+        yield Fault(("machine", "roll_deg"), text, about=(("inclinometer",),))
+
+
 def row(draft: Draft) -> Iterator[Fault]:
     """Check that a row has at most 16 targets, only existing stable ones, and a switch for each glass."""
     if not draft.is_row:
@@ -59,7 +73,7 @@ def row(draft: Draft) -> Iterator[Fault]:
         text = "is for a beam with a switched target; possible: the same key in [chain]"
         yield Fault(("switches", key), text, "key", about=(_KIND,))
     yield from _switches(draft)
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer"))
+    yield from _no_part_of_a_beam(draft, ("installation", "machine", "lamps", "inclinometer"))
 
 
 def _switches(draft: Draft) -> Iterator[Fault]:
@@ -116,7 +130,9 @@ def planar(draft: Draft) -> Iterator[Fault]:
         names = ", ".join(map(shown, draft.cameras))
         text = f"{names} are too many for a plate; possible: one"
         yield Fault(("cameras",), text, "key", about=(_KIND,))
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "switches", "inclinometer", "stage"))
+    yield from _no_part_of_a_beam(
+        draft, ("installation", "machine", "lamps", "switches", "inclinometer", "stage")
+    )
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:

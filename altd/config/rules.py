@@ -13,7 +13,7 @@ from pathlib import Path
 
 from altd.config.draft import Draft
 from altd.config.drivers import WITH_OUTPUTS
-from altd.config.instrument_rules import beam, planar, row
+from altd.config.instrument_rules import beam, machine, planar, row
 from altd.config.places import Keys
 from altd.config.wording import Fault
 from altd.devices.camera_lamps import CameraLampsSettings
@@ -316,6 +316,7 @@ def _celsius(limits: tuple[float, float], table: Keys) -> Iterator[Fault]:
 
 RULES: tuple[Rule, ...] = (
     beam,
+    machine,
     row,
     planar,
     _targets,

@@ -160,3 +160,42 @@ class Installation(Table):
             "yaw_deg": self.sign_yaw,
             "pitch_deg": self.sign_pitch,
         }
+
+
+_Sigma = Annotated[float, Field(ge=0, le=45)]
+
+
+class MachinePoint(Table):
+    """A point of the machine, whose distance from the beam is published."""
+
+    name: Name
+    """Name in all outputs, as in `NAME_right_mm`."""
+    x_mm: Millimetres
+    """Place of the point from the middle of the front target, along the machine's axes, mm: to the right."""
+    y_mm: Millimetres
+    """The same, up."""
+    z_mm: Millimetres
+    """The same, along the beam: negative behind the front target, towards the total station."""
+    sigma_mm: Annotated[float, Field(ge=0, le=1000)]
+    """Standard uncertainty of each of the three, mm."""
+
+
+class Machine(Table):
+    """The machine that carries the unit, and its points (`machine.md`)."""
+
+    roll_deg: Annotated[float, Field(ge=-180, le=180)] | None = None
+    """Roll of the unit as surveyed, degrees, where no inclinometer is fitted."""
+    roll_sigma_deg: _Sigma = 0.0
+    """Standard uncertainty of ``roll_deg``, degrees."""
+    beam_inclination_mm_per_m: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+    """Inclination of the beam, mm/m, positive if it rises: the direction of the vertical depends on it."""
+    mount_yaw_deg: OffsetDegrees = 0.0
+    """Direction of the unit's axis in the machine, degrees: to the right."""
+    mount_pitch_deg: OffsetDegrees = 0.0
+    """The same, up."""
+    mount_roll_deg: OffsetDegrees = 0.0
+    """Turn of the unit about its axis against the machine, degrees: clockwise as seen along the beam."""
+    mount_sigma_deg: _Sigma = 0.0
+    """Standard uncertainty of each of the three, degrees."""
+    points: Annotated[tuple[MachinePoint, ...], Field(max_length=8)] = ()
+    """Points of the machine, a table ``[[machine.points]]`` each."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from altd.config import drivers
 from altd.config.interfaces import (
@@ -15,9 +17,9 @@ from altd.config.interfaces import (
 )
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.measuring import Maintenance, Measuring, Scan, SelfCheckSettings
-from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
+from altd.config.unit import Installation, Machine, Plate, RowSettings, Target, Unit
 from altd.devices.settings import DeviceTable, Driver
-from altd.files.table import Name, Table
+from altd.files.table import Name, Table, complaint
 
 
 class Config(Table):
@@ -28,6 +30,7 @@ class Config(Table):
     cameras: dict[Name, drivers.AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
+    machine: Machine | None = None
     chain: RowSettings | None = None
     plate: Plate | None = None
     modbus_tcp: ModbusTcpSettings | None = None
@@ -47,6 +50,14 @@ class Config(Table):
     history: HistorySettings = HistorySettings()
     stage: drivers.AnyStageSettings | None = None
     scan: Scan = Scan()
+
+    @model_validator(mode="after")
+    def _check_roll(self) -> Self:
+        is_known = self.inclinometer is not None or (self.machine and self.machine.roll_deg is not None)
+        if self.machine and self.machine.points and not is_known:
+            text = "the points need a roll; possible: roll_deg, or a table [inclinometer]"
+            raise complaint((("machine", "roll_deg"), text))
+        return self
 
     @property
     def switched_targets(self) -> tuple[Target, ...]:

@@ -250,7 +250,7 @@ class MeasuringChain(FrameChain[Located]):
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         span_s = mean.motion.span_s if mean.motion else 0.0
         motions = self._motion_memory.add(mean.t_ns, frame_set.t_ns, span_s, solution.motions)
-        solution = replace(solution, motions=motions)
+        solution = replace(solution, motions=motions, joint=self._motion_memory.joined(solution.joint))
         published = solution.with_motion_in_sigma() if self._is_of_now else solution
         if published is None:
             return self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))

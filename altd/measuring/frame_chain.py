@@ -184,6 +184,7 @@ class FrameChain(ABC, Generic[Item]):
                 status=(*faults, *self._origin_faults()),
                 last_exposure_ns=newest_ns,
                 motions=solution.motions,
+                joint=solution.joint,
             )
         )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from altd.records import Fault, MeanSpots, Quantities, Value
+from altd.records.joint import Joint
 from altd.records.spots import Motion
 
 
@@ -16,12 +17,13 @@ class Solution:
     """Result of an instrument for a window: values by the keys of their quantities.
 
     ``motions`` holds the motion of the values that have a sigma, from this window alone; empty if the window
-    shows none.
+    shows none. ``joint`` is the values' joint uncertainty.
     """
 
     values: Mapping[str, Value]
     targets: Mapping[str, Mapping[str, Value] | None]
     motions: Mapping[str, Motion] = field(default_factory=dict)
+    joint: Joint | None = field(default=None, compare=False)
 
     def with_motion_in_sigma(self) -> Solution | None:
         """Return the values with sigmas about the true value at their time, vibration included.
@@ -36,7 +38,8 @@ class Solution:
                     return None
                 values[key] = Value(value.value, math.sqrt(value.sigma**2 + since))
         motions = {key: replace(motion, is_in_sigma=True) for key, motion in self.motions.items()}
-        return replace(self, values=values, motions=motions)
+        joint = self.joint and self.joint.with_motion(self.motions)
+        return replace(self, values=values, motions=motions, joint=joint)
 
 
 NO_SOLUTION = Solution({}, {})

@@ -7,6 +7,10 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from altd.records import FloatArray
+from altd.records.joint import Joint, correlation_of
 from altd.records.spots import Motion
 
 MEMORY_S = 10.0
@@ -54,6 +58,9 @@ class MotionMemory:
         """Windows from the newest one that can be compared with the last one."""
         self._rate_squares: dict[str, _Mean] = {}
         self._acceleration_squares: dict[str, _Mean] = {}
+        self._rate_products: FloatArray | float = 0.0
+        self._change_products: FloatArray | float = 0.0
+        """Sums of the products of rates, and of their changes, in the order of the motions."""
 
     def add(
         self, t_ns: int, newest_ns: int, span_s: float, motions: Mapping[str, Motion]
@@ -70,11 +77,28 @@ class MotionMemory:
             self._seen.clear()
             self._rate_squares.clear()
             self._acceleration_squares.clear()
+            self._rate_products = self._change_products = 0.0
         now = _Seen(t_ns, newest_ns, span_s, motions)
         before = self._before(now)
         fading = math.exp(-since_s / MEMORY_S)
         self._seen.append(now)
+        rates = np.array([motion.rate for motion in motions.values()])
+        self._rate_products = fading * self._rate_products + np.outer(rates, rates)
+        if before is not None and before.motions.keys() == motions.keys():
+            rates -= [motion.rate for motion in before.motions.values()]
+            self._change_products = fading * self._change_products + np.outer(rates, rates)
         return {key: self._one(key, motion, now, before, fading) for key, motion in motions.items()}
+
+    def joined(self, joint: Joint | None) -> Joint | None:
+        """Return the joint uncertainty of the last window with the correlations of its rates.
+
+        They are those of the motions' estimates, whose errors count like motion; ``joint.keys`` are the
+        motions' keys, in their order.
+        """
+        rates, changes = self._rate_products, self._change_products
+        if joint is None or isinstance(rates, float) or isinstance(changes, float):
+            return joint
+        return replace(joint, rate=correlation_of(rates), acceleration=correlation_of(changes))
 
     def _before(self, now: _Seen) -> _Seen | None:
         """Return the newest window old enough to share no frame set with this one; drop the older ones."""

@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
+import numpy as np
+
 from altd.reasons import Reason
 from altd.records.faults import Fault
+from altd.records.frames import FloatArray
+from altd.records.joint import Joint, Linear
 from altd.records.sensors import SensorValue
 from altd.records.spots import Motion
 
@@ -26,7 +30,8 @@ class Quantity:
     JSON; displays show one less. ``has_sigma``: its standard deviation is published too. ``is_optional``: a
     valid measurement may lack it. ``is_also`` is the key of the same quantity in another unit of measurement.
     ``is_from_sensor``: another sensor measures it, at its own times, whether or not the beam is visible.
-    ``place`` is the target of a row to whose place it belongs; its key begins with that name.
+    ``place`` is the target of a row to whose place it belongs, ``point`` the point of the machine; the key
+    begins with that name.
     """
 
     key: str
@@ -39,19 +44,26 @@ class Quantity:
     is_also: str = ""
     is_from_sensor: bool = False
     place: str = ""
+    point: str = ""
+
+
+UNITS_OF_PRODUCTS = ("mm²", "mm²/m", "mm²/m²")
+"""Units of a covariance of two displacements, of a displacement and a slope, of two slopes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantities:
     """Quantities that a kind of unit publishes: of the whole unit, and of each of its targets.
 
-    ``has_motion``: the instrument estimates their rates.
+    ``has_motion``: the instrument estimates their rates. ``joint`` names those whose covariance is published,
+    in its order; roll, of another sensor, is the last.
     """
 
     instrument: str
     of_unit: tuple[Quantity, ...]
     of_target: tuple[Quantity, ...] = ()
     has_motion: bool = False
+    joint: tuple[str, ...] = ()
 
     @property
     def main(self) -> tuple[Quantity, ...]:
@@ -60,8 +72,9 @@ class Quantities:
 
     @property
     def shown(self) -> tuple[Quantity, ...]:
-        """Quantities for a display: the main ones, and those of fitted sensors and of places."""
-        return self.main + tuple(each for each in self.of_unit if each.is_from_sensor or each.place)
+        """Quantities for a display: the main ones, and those of fitted sensors, places and points."""
+        of = tuple(each for each in self.of_unit if each.is_from_sensor or each.place or each.point)
+        return self.main + of
 
     @property
     def has_places(self) -> bool:
@@ -74,7 +87,7 @@ class Quantities:
             replace(each, has_sigma=True, is_from_sensor=True) if each.key == key else each
             for each in self.of_unit
         )
-        return replace(self, of_unit=of_unit)
+        return replace(self, of_unit=of_unit, joint=(*self.joint, f"{key.removesuffix('_deg')}_mm_per_m"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +125,10 @@ class Measurement:
     ``status`` then contains at least one reason that is not a warning. ``targets`` contains the values of
     each target of the unit, None if not known. ``last_exposure_ns`` is the time of the window's last
     exposure; None: ``t_ns`` is. ``motions`` contains the motion of the quantities with a sigma, by their
-    keys; empty if not known. ``from_sensors`` contains other sensors' values of quantities, each at its own
-    time. They do not affect ``valid`` and remain when the beam is lost.
+    keys; empty if not known. ``joint`` is the joint uncertainty of ``values``, None if not known;
+    ``linear`` is how others depend on them, by key.
+    ``from_sensors`` contains other sensors' values of quantities, each at its own time. They do not affect
+    ``valid`` and remain when the beam is lost.
     """
 
     sequence: int
@@ -127,6 +142,8 @@ class Measurement:
     last_exposure_ns: int | None = None
     motions: Mapping[str, Motion] = field(default_factory=dict)
     from_sensors: Mapping[str, SensorValue] = field(default_factory=dict)
+    joint: Joint | None = field(default=None, compare=False)
+    linear: Mapping[str, Linear] = field(default_factory=dict, compare=False)
 
     @property
     def light_ns(self) -> int:
@@ -135,7 +152,8 @@ class Measurement:
 
     def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
         """Return the measurement of the same moment, invalid for these reasons."""
-        return replace(self, values={}, targets=dict.fromkeys(self.targets), status=status, motions={})
+        targets = dict.fromkeys(self.targets)
+        return replace(self, values={}, targets=targets, status=status, motions={}, joint=None, linear={})
 
     def with_findings(self, *findings: Finding | None) -> Measurement:
         """Return the finished measurement: with all that is found about it; later only its age changes it."""
@@ -206,9 +224,30 @@ class Measurement:
         ``age_s`` counts from ``t_ns``; an earlier instant counts as ``t_ns``. None: not known, because the
         quantity has no sigma, or its motion has not been determined yet.
         """
+        if key in self.linear:
+            return self.linear[key].sigma(self.covariance(age_s))
         sigma, motion = self.sigma(key), self.motions.get(key)
         since = None if motion is None else motion.variance_since(max(age_s, 0.0))
         return None if sigma is None or since is None else math.sqrt(sigma**2 + since)
+
+    def covariance(self, age_s: float | None = None) -> FloatArray | None:
+        """Return the covariance (n, n) of ``quantities.joint``, in its units. NaN, None: not known.
+
+        ``age_s`` is as in ``sigma_at``; without it, the covariance is that of the values at their own time.
+        Roll is the reading of another sensor, whose errors are independent of the beam's.
+        """
+        size, joint = len(self.quantities.joint), self.joint
+        covariance = np.full((size, size), np.nan)
+        if joint is not None:
+            of_beam = joint.at(self.motions, age_s)
+            if of_beam is not None:
+                covariance[: len(joint.keys), : len(joint.keys)] = of_beam
+        of_roll = self.known("roll_deg") if "roll_mm_per_m" in self.quantities.joint else None
+        if of_roll is not None and of_roll.sigma is not None:
+            covariance[-1, :-1] = covariance[:-1, -1] = 0.0 * np.diag(covariance)[:-1]
+            per_deg = 1000.0 * math.radians(1.0) / math.cos(math.radians(of_roll.value)) ** 2
+            covariance[-1, -1] = (per_deg * of_roll.sigma) ** 2
+        return None if np.isnan(np.diag(covariance)).all() else covariance
 
 
 def utc_text(time: datetime) -> str:

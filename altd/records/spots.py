@@ -74,18 +74,19 @@ class Motion:
         second cannot distinguish 2 Hz from 22, so its phase is not known. Rate and acceleration are treated
         as independent, because one may end or reverse at any time.
         """
+        then, own = self.parts_since(age_s), self.parts_since(0.0) if self.is_in_sigma else ()
+        return None if then is None or own is None else sum(x * x for x in then) - sum(x * x for x in own)
+
+    def parts_since(self, age_s: float) -> tuple[float, float, float, float] | None:
+        """Return the distances by vibration, rate, acceleration and onset; None: not known."""
         if self.probable_rate is None or self.acceleration is None:
             return None
-        own = self._variance(0.0, self.probable_rate, self.acceleration) if self.is_in_sigma else 0.0
-        return self._variance(age_s, self.probable_rate, self.acceleration) - own
-
-    def _variance(self, age_s: float, rate: float, acceleration: float) -> float:
         since_middle_s = self.at_s + age_s
         return (
-            self.vibration**2
-            + (rate * age_s) ** 2
-            + (0.5 * acceleration * (since_middle_s**2 - self.spread_s2)) ** 2
-            + (self.onset * max(since_middle_s - self.onset_s, 0.0)) ** 2
+            self.vibration,
+            self.probable_rate * age_s,
+            0.5 * self.acceleration * (since_middle_s**2 - self.spread_s2),
+            self.onset * max(since_middle_s - self.onset_s, 0.0),
         )
 
 

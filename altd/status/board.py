@@ -17,11 +17,11 @@ class Board:
     """Holds the latest measurement; each waiting reader has its own cursor, which counts skipped ones.
 
     ``sense`` returns the present values of other sensors, and what they show together with the values of a
-    measurement. Without ``rehearsal``, a measurement loses its numbers if its frames are played or simulated,
-    or its calibration was made from simulated frames.
+    measurement; ``finish`` adds what follows from both. Without ``rehearsal``, a measurement loses its
+    numbers if its frames are played or simulated, or its calibration was made from simulated frames.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  what a measurement is finished by
         self,
         clock: Clock,
         stale_after_s: float,
@@ -29,11 +29,13 @@ class Board:
         identity: Identity = Identity(),  # noqa: B008  frozen; a board without an identity is of no unit
         sense: Callable[[Mapping[str, Value]], Finding] | None = None,
         rehearsal: bool = False,
+        finish: Callable[[Measurement], Measurement] = lambda measurement: measurement,
     ) -> None:
         self.quantities = quantities
         """Quantities of its measurements; known before the first one."""
         self.stale_after_s = stale_after_s
         self._sense = sense
+        self._finish = finish
         self.is_rehearsal = rehearsal
         """Whether numbers that are not live are valid."""
         self.identity = identity
@@ -58,7 +60,7 @@ class Board:
         """Finish a measurement, publish it and wake all waiting readers; returns it as published."""
         values = {} if geometry and geometry.withdraws else measurement.values
         sensed = self._sense(values) if self._sense else None
-        published = measurement.with_findings(geometry, sensed, self._origin(measurement))
+        published = self._finish(measurement.with_findings(geometry, sensed, self._origin(measurement)))
         self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
@@ -102,7 +104,7 @@ class Board:
             return None
         now_ns = self._clock.monotonic_ns()
         if (shown := latest.at(now_ns)) is not latest:
-            self._latest, self._stale = (latest := shown), None
+            self._latest, self._stale = (latest := self._finish(shown)), None
         since_ns = min(self._published_ns, latest.light_ns)
         if now_ns - since_ns <= self.stale_after_s * 1e9:
             return latest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import GenericAlias
@@ -11,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from altd.files.documents import line_of
 from altd.reasons import Reason
-from altd.records import Measurement, Quantities, Quantity, Value, utc_text
+from altd.records import FloatArray, Measurement, Quantities, Quantity, Value, utc_text
 from altd.records.sensors import Quality, SensorValue
 from altd.status.answer import Answer
 from altd.status.board import Board
@@ -21,6 +22,7 @@ _KNOWN_DECIMALS = 4
 """Decimals of the stage's beam position, mm, and of a measurement's difference from it."""
 _AGE_DECIMALS = 3
 _REASONS = frozenset(map(str, Reason))
+Matrix = list[list[float | None]]
 
 
 def as_object(measurement: Measurement) -> dict[str, Any]:
@@ -36,7 +38,9 @@ def as_object(measurement: Measurement) -> dict[str, Any]:
         **_values(quantities.of_unit, measurement.known),
         "sigma": _sigmas(quantities, measurement.sigma),
         "sigma_random": _sigmas(quantities, measurement.sigma_random),
+        **_matrix("covariance", quantities, measurement.covariance()),
         **targets_object(quantities, measurement.targets, measurement.known_of, codes),
+        **points_object(quantities, measurement.known),
         **_sensors(measurement),
     }
 
@@ -56,6 +60,11 @@ def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, An
             )
             for quantity in quantities
         },
+        **_matrix(
+            "covariance_now",
+            measurement.quantities,
+            None if age_s is None else measurement.covariance(age_s),
+        ),
         "rates": {
             **{f"{quantity.key}_per_s": _rate(rates, quantity, "value") for quantity in quantities},
             "sigma": {f"{quantity.key}_per_s": _rate(rates, quantity, "sigma") for quantity in quantities},
@@ -83,6 +92,14 @@ def _sigmas(quantities: Quantities, sigma: Callable[[str], float | None]) -> dic
     }
 
 
+def _matrix(key: str, quantities: Quantities, covariance: FloatArray | None) -> dict[str, Matrix]:
+    """Return the rows of a covariance with six digits; nothing for an instrument that publishes none."""
+    size = len(quantities.joint)
+    known = [[math.nan] * size] * size if covariance is None else covariance.tolist()
+    rows = [[float(f"{each:.6g}") if math.isfinite(each) else None for each in row] for row in known]
+    return {key: rows} if rows else {}
+
+
 def _values(
     quantities: tuple[Quantity, ...], known: Callable[[str], Value | None]
 ) -> dict[str, float | None]:
@@ -106,6 +123,17 @@ def targets_object(
             for target in targets
         }
     return {"targets": {target: _place(quantities, target, known, codes) for target in targets}}
+
+
+def points_object(quantities: Quantities, known: Callable[[str], Value | None]) -> dict[str, Any]:
+    """Return the machine's points by name below ``points``; nothing if there are none."""
+    points: dict[str, dict[str, Any]] = {}
+    for each in filter(lambda each: each.point, quantities.of_unit):
+        value, key = known(each.key), each.key.removeprefix(f"{each.point}_")
+        of = points.setdefault(each.point, {})
+        sigma = {**of.pop("sigma", {}), key: _rounded(None if value is None else value.sigma, each.decimals)}
+        of |= {key: _rounded(_number(value), each.decimals), "sigma": sigma}
+    return {"points": points} if points else {}
 
 
 def _place(
@@ -213,6 +241,21 @@ class Sensor(Answer):
     age_s: float | None
 
 
+class PointSigma(Answer):
+    """Combined standard uncertainties (1 sigma) of a point's distances."""
+
+    right_mm: float | None
+    up_mm: float | None
+
+
+class Point(Answer):
+    """Distances of a point of the machine from the beam, in the world of gravity; null: not known."""
+
+    right_mm: float | None
+    up_mm: float | None
+    sigma: PointSigma
+
+
 def measurement_model(quantities: Quantities) -> type[BaseModel]:
     """Return the model of a measurement, as ``as_object_now`` writes it."""
     with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
@@ -254,6 +297,18 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         crc32: str
         """CRC-32 of all bytes before `, "crc32":`."""
 
+    more: dict[str, Any] = {}
+    if quantities.joint:
+        of = f"Covariance of {', '.join(quantities.joint)}, in this order and in the products of their units"
+        more = {
+            "covariance": (Matrix, Field(description=f"{of}: of the means.")),
+            "covariance_now": (
+                Matrix,
+                Field(description="The same as a statement about where the beam is now."),
+            ),
+        }
+    if any(each.point for each in quantities.of_unit):
+        more["points"] = (dict[str, Point], Field(description="Points of the machine, by name."))
     of_row = place_model(quantities)
     beside: dict[str, Any] = (
         {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
@@ -269,6 +324,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         sigma=(sigma, ...),
         sigma_random=(sigma_random, ...),
         sigma_now=(sigma_now, ...),
+        **more,
         rates=(rates, ...),
     )
 

@@ -14,7 +14,7 @@ from urllib.request import urlopen
 from playwright.async_api import Browser, Locator, Page, Request, async_playwright
 
 from altd.app.keeping import history_about
-from altd.config import HttpSettings, KeptFrames
+from altd.config import HttpSettings, KeptFrames, Machine
 from altd.measuring.calibration import Calibration
 from hw_sim.beam import BeamPose
 from support.cut_cable import Cable
@@ -106,14 +106,17 @@ async def browser() -> AsyncIterator[Browser]:
 
 @contextlib.asynccontextmanager
 async def watched_unit(
-    calibration: Calibration, folder: Path | None = None, calibration_file: Path | None = None
+    calibration: Calibration,
+    folder: Path | None = None,
+    calibration_file: Path | None = None,
+    machine: Machine | None = None,
 ) -> AsyncIterator[LedUnit]:
     """``folder``: the unit keeps its history and its frames there; its calibration is read from the file."""
     kept = KeptFrames(memory_mb=0)
     if folder is not None:
         kept = KeptFrames(before_s=2, after_s=1, folder=folder / "kept")
     settings = config(measuring={"window": 4}).model_copy(
-        update={"http": HttpSettings(host="127.0.0.1", port=0), "kept_frames": kept}
+        update={"http": HttpSettings(host="127.0.0.1", port=0), "kept_frames": kept, "machine": machine}
     )
 
     if calibration_file is not None:

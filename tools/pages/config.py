@@ -19,6 +19,8 @@ from altd.config import (
     Installation,
     KeptFrames,
     LocalSettings,
+    Machine,
+    MachinePoint,
     Maintenance,
     Measuring,
     ModbusRtuPortSettings,
@@ -67,6 +69,8 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ("[measuring]", Measuring, ""),
     ("[installation]", Installation, "Default: the beam in the unit frame."),
+    ("[machine]", Machine, "Without the table: no points."),
+    ("[[machine.points]]", MachinePoint, "Up to eight points."),
     ("[chain]", RowSettings, 'With `instrument = "chain"` alone: `chain.md`.'),
     ("[plate]", Plate, 'With `instrument = "planar"` alone: `planar.md`.'),
     (

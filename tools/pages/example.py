@@ -1,13 +1,17 @@
 """The example measurement on the pages of all interfaces, so that readers can compare them."""
 
+import math
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+
+import numpy as np
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.ports import Clock, Stop
 from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
+from altd.records.joint import Joint
 from altd.records.spots import Motion
 from altd.status.board import Board
 from altd.status.health import Health
@@ -19,13 +23,27 @@ def _motion(rate: float, sigma_rate: float, vibration: float, acceleration: floa
     return Motion(rate, sigma_rate, vibration, 0.0, 0.475, 0.0831, abs(rate), acceleration)
 
 
+_BEAM = Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011)
+_ALIKE = np.eye(4)
+
+
+def _joint() -> Joint:
+    sigmas = np.array([_BEAM.sigma_x_mm, _BEAM.sigma_y_mm, _BEAM.sigma_yaw_deg, _BEAM.sigma_pitch_deg])
+    correlation = np.eye(4)
+    correlation[[0, 2], [2, 0]], correlation[[1, 3], [3, 1]] = -0.86, -0.83
+    factors = np.array([1.0, 1.0, 1000 * math.radians(1), 1000 * math.radians(1)])
+    covariance = correlation * np.outer(sigmas, sigmas)
+    keys = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+    return Joint(keys, covariance, covariance / 4, factors, _ALIKE, _ALIKE, _ALIKE)
+
+
 MEASURED = Measurement(
     sequence=160,
     t_ns=8_000_000_000,
     time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC),
     frames=20,
     quantities=QUANTITIES,
-    values=values_of(Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011)),
+    values=values_of(_BEAM),
     targets={
         "front": {"x_mm": Value(10.012), "y_mm": Value(4.987)},
         "rear": {"x_mm": Value(15.613), "y_mm": Value(-3.413)},
@@ -36,6 +54,7 @@ MEASURED = Measurement(
         "yaw_deg": _motion(0.0021, 0.0004, 0.0012, 0.0002),
         "pitch_deg": _motion(0.0008, 0.0004, 0.0011, 0.0002),
     },
+    joint=_joint(),
 )
 
 SERIAL = "ALT-0007"

@@ -1,6 +1,7 @@
 """``docs/http.md`` from the HTTP interface."""
 
 import json
+import re
 
 from altd.history.reader import MAX_ROWS as EVENT_ROWS
 from altd.publish.http.answers import MAX_BODY_BYTES
@@ -38,6 +39,12 @@ def _rate(rate: Rate) -> str:
     return f"{rate.burst} at once, {rate.per_s:g} a second"
 
 
+def _indented(line: str) -> str:
+    """Return a document with a member a line, and a row of numbers a line."""
+    text = json.dumps(json.loads(line), indent=2)
+    return re.sub(r"\[\s+([^][{}]*?)\s+\]", lambda row: f"[{' '.join(row[1].split())}]", text)
+
+
 def page() -> str:
     """Page for programs that read the unit over the network."""
     paths = "".join(f"| `{path.path}` | {path.gives} |\n" for path in PATHS)
@@ -68,7 +75,7 @@ sent as gzip to clients that accept it, streams and archives as they are.
 gives one object. The members from `unit` on are for the [check of messages](proof.md).
 
 ```json
-{json.dumps(json.loads(line), indent=2)}
+{_indented(line)}
 ```
 
 | key | meaning |
@@ -80,6 +87,9 @@ steer by them |
 [Conventions](conventions.md) |
 | `sigma` | [combined standard uncertainty](budget.md) (1 sigma) in the middle of the exposures |
 | `sigma_random` | the part of `sigma` that scatters |
+| `covariance`, `covariance_now` | joint uncertainty of x, y, yaw and pitch, mm and mm/m, and of roll where \
+it is measured: [machine](machine.md) |
+| `points` | [points of the machine](machine.md), where the settings have some |
 | `sigma_now` | standard deviation of the value as a statement about the beam at the moment of sending, \
 [with motion and vibration](accuracy.md) |
 | `rates` | change per second |

@@ -11,11 +11,15 @@ from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
     HEADER,
+    JOINT,
+    MACHINE,
     NEAR,
     PER_PLACE,
+    PER_POINT,
     PER_UNIT,
     PLACES_AT_ONCE,
     PLATE_BLOCK,
+    POINTS_AT_ONCE,
     SCALED_BLOCK,
     SIZE,
     TEST_BLOCK,
@@ -87,6 +91,8 @@ BLOCKS = (
     ),
     (_span(NEAR.first, NEAR.size), "[places 1 to 8 of a row](#places-of-a-row)", "with each poll, of a row"),
     (_span(FAR.first, FAR.size), "[places 9 to 16 of a row](#places-of-a-row)", "with each poll, of a row"),
+    (_span(JOINT.first, JOINT.size), "[the beam's covariance](#covariance)", "if sigmas are combined"),
+    (_span(MACHINE.first, MACHINE.size), "[points of the machine](#points-of-the-machine)", "with each poll"),
 )
 
 COMMANDS = (
@@ -106,6 +112,7 @@ COMMANDS = (
 
 (PLACE_1,) = (row for row in NEAR.rows if row.name == "place1_reason")
 (PLACE_9,) = (row for row in FAR.rows if row.name == "place9_reason")
+(POINT_1,) = (row for row in MACHINE.rows if row.name == "point1_right")
 ROW_HEAD, PLACE = NEAR.rows.index(PLACE_1), len(NEAR.rows) // PLACES_AT_ONCE
 """Number of rows before the first place, and number of rows of each place."""
 
@@ -229,6 +236,22 @@ values.
 
 - Bits of `near_warnings`, `far_warnings`: {_bits(ROW_WARNINGS)}.
 - Bits of `place1_warnings`: {_bits(PLACE_WARNINGS)}.
+
+### Covariance
+
+Of `x`, `y`, `yaw_slope` and `pitch_slope`, to combine them ([machine](machine.md)): compare `joint_sequence`
+with `sequence` if the values are from another request. The matrix is symmetric; the registers have its rows
+from the diagonal on.
+
+{register_table(JOINT.rows)}
+
+### Points of the machine
+
+Distances of the points of [`[machine]`](machine.md) from the beam, in the order of the settings, up to
+{POINTS_AT_ONCE}. Point n begins at {POINT_1.address} + {PER_POINT}·(n − 1). Registers beyond the last point
+are not known.
+
+{register_table(MACHINE.rows[: MACHINE.rows.index(POINT_1) + PER_POINT // 2])}
 
 ## Bits of `status`
 

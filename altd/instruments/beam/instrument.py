@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.config import Installation, Measuring
+from altd.config import Installation, Machine, Measuring
+from altd.instruments.beam.points import quantities_of_points
 from altd.instruments.beam.refraction import Refraction
 from altd.instruments.beam.solver import (
     Beam,
@@ -33,11 +34,13 @@ from altd.records import (
     TargetPoint,
     Value,
 )
+from altd.records.joint import Joint, correlation_of
 from altd.records.spots import Motion, SpotMotion
 
 QUANTITIES = Quantities(
     instrument="beam",
     has_motion=True,
+    joint=("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m"),
     of_unit=(
         Quantity(
             "x_mm",
@@ -70,8 +73,8 @@ QUANTITIES = Quantities(
 )
 
 
-def quantities_of(installation: Installation) -> Quantities:
-    """Return the quantities with what they mean after plane, signs and offsets of the installation."""
+def quantities_of(installation: Installation, machine: Machine | None = None) -> Quantities:
+    """Return the quantities, with their meaning after plane, signs and offsets, and the machine's points."""
     plane_mm = installation.reference_plane_mm
     plane = f"in the plane z = {plane_mm:g} mm" if plane_mm else "at the front target"
 
@@ -88,9 +91,8 @@ def quantities_of(installation: Installation) -> Quantities:
             ]
         )
 
-    return replace(
-        QUANTITIES, of_unit=tuple(replace(each, meaning=meaning(each)) for each in QUANTITIES.of_unit)
-    )
+    of_beam = (replace(each, meaning=meaning(each)) for each in QUANTITIES.of_unit)
+    return replace(QUANTITIES, of_unit=(*of_beam, *(quantities_of_points(machine) if machine else ())))
 
 
 def values_of(beam: Beam) -> dict[str, Value]:
@@ -106,28 +108,30 @@ def values_of(beam: Beam) -> dict[str, Value]:
     }
 
 
-_ROWS = ("x_mm", "yaw_deg", "y_mm", "pitch_deg")
-"""Quantities in the order of the rows of ``line_gain``."""
+_KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+_LINE = [0, 2, 1, 3]
+"""Rows of ``line_gain`` (x, slope x, y, slope y) in the order of ``_KEYS``."""
 
 
-def beam_motions(
-    motion: SpotMotion,
-    points: Sequence[TargetPoint],
-    gain: FloatArray,
-    beam: Beam,
-    installation: Installation,
-) -> dict[str, Motion]:
-    """Motion of each quantity of ``beam`` that has a sigma, with the signs of the installation.
+def by_line(beam: Beam, installation: Installation) -> FloatArray:
+    """Derivatives (4, 4) of the quantities of ``_KEYS`` by the line of ``beam``, which is in the unit frame.
 
-    ``gain`` (4, 2 T) is from ``line_gain``, ``beam`` is in the unit frame. yaw = atan(slope), so its
-    derivative is that of the slope over 1 + slope². The maps are taken as linear over a few millimetres.
+    They have the signs of the installation. yaw = atan(slope), so its derivative is 1 / (1 + slope²).
     """
-    per_slope_deg = [
+    yaw, pitch = (
         math.degrees(math.cos(math.radians(angle)) ** 2) for angle in (beam.yaw_deg, beam.pitch_deg)
-    ]
-    signs = installation.signs
-    scale = np.array([1.0, per_slope_deg[0], 1.0, per_slope_deg[1]]) * [signs[key] for key in _ROWS]
-    by_px = scale[:, None] * gain @ joint_jacobian_mm_per_px(points)
+    )
+    scale = np.array([1.0, 1.0, yaw, pitch]) * [installation.signs[key] for key in _KEYS]
+    derivatives: FloatArray = scale[:, None] * np.eye(4)[_LINE]
+    return derivatives
+
+
+def beam_motions(motion: SpotMotion, by_px: FloatArray) -> dict[str, Motion]:
+    """Motion of each quantity of ``_KEYS``.
+
+    ``by_px`` (4, 2 T) are the quantities' derivatives by the spots. The maps are taken as linear over a few
+    millimetres.
+    """
     rate, onset = by_px @ motion.rate_px_per_s, by_px @ motion.onset_px_per_s
     rate_variance = _variances(by_px, motion.rate_covariance)
     vibration = np.sqrt(np.maximum(_variances(by_px, motion.vibration_px2), 0.0))
@@ -141,8 +145,13 @@ def beam_motions(
             spread_s2=motion.spread_s2,
             at_s=motion.at_s,
         )
-        for row, key in enumerate(_ROWS)
+        for row, key in enumerate(_KEYS)
     }
+
+
+def _mm_per_m_per_deg(angle_deg: float) -> float:
+    """Derivative of 1000 · tan(angle)."""
+    return 1000.0 * math.radians(1.0) / math.cos(math.radians(angle_deg)) ** 2
 
 
 def _variances(by_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
@@ -169,7 +178,7 @@ class BeamInstrument:
     A beam whose scatter exceeds ``measuring.max_sigma_…`` is a fault. ``installation`` converts the beam from
     the unit frame to the coordinates of the controller. ``celsius`` returns the frame's temperature, None if
     it is not known; its difference from that of the calibration replaces the stated ``temperature_k``. An
-    inclinometer adds the sigma of roll to the quantities.
+    inclinometer adds the sigma of roll to the quantities, ``machine`` adds its points.
     """
 
     min_targets = 2
@@ -181,13 +190,14 @@ class BeamInstrument:
         installation: Installation | None = None,
         celsius: Callable[[], float | None] = lambda: None,
         has_inclinometer: bool = False,
+        machine: Machine | None = None,
     ) -> None:
         self._calibration = {target.name: target for target in calibration.targets}
         self._stated = calibration.limits
         self._calibrated_c, self._celsius = calibration.temperature_c, celsius
         self._measuring = measuring
         self._installation = installation or Installation()
-        self.quantities = quantities_of(self._installation)
+        self.quantities = quantities_of(self._installation, machine)
         if has_inclinometer:
             self.quantities = self.quantities.with_sensor("roll_deg")
         self._refraction = Refraction.from_calibration(calibration)
@@ -218,15 +228,25 @@ class BeamInstrument:
         if (doubt := range_fault(beam)) is not None:
             return doubt
         places = zip(mean.targets, points, strict=True)
-        motions = {}
+        published, motions, vibration = installed(beam, self._installation), {}, None
+        derivatives = by_line(beam, self._installation)
         if mean.motion is not None:
             per_slope = None if refraction is None else refraction.displaced_mm(beam.slopes, z_mm)[1]
             gain, _ = line_gain(z_mm, covariance, plane_mm, per_slope)
-            motions = beam_motions(mean.motion, points, gain, beam, self._installation)
+            by_px = derivatives @ gain @ joint_jacobian_mm_per_px(points)
+            motions = beam_motions(mean.motion, by_px)
+            vibration = correlation_of(by_px @ mean.motion.vibration_px2 @ by_px.T)
         return Solution(
-            values_of(installed(beam, self._installation)),
+            values_of(published),
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
             motions,
+            Joint(
+                _KEYS,
+                derivatives @ beam.line_covariance @ derivatives.T,
+                derivatives @ beam.line_scatter @ derivatives.T,
+                np.array([1.0, 1.0, *map(_mm_per_m_per_deg, (published.yaw_deg, published.pitch_deg))]),
+                vibration,
+            ),
         )
 
     @property

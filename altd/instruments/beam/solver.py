@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,11 +14,16 @@ from altd.records import FloatArray, Limits, MeanSpots, TargetPoint
 from altd.records.limits import NO_LIMITS
 
 
+def _unknown() -> FloatArray:
+    return np.full((4, 4), np.nan)
+
+
 @dataclass(frozen=True, slots=True)
 class Beam:
     """The beam in the unit frame at the reference plane, with combined standard uncertainties (1 sigma).
 
     ``sigma_random`` is the random part of the sigmas of x, y, yaw and pitch; None: they are entirely random.
+    ``line_covariance`` (4, 4) is that of x, slope x, y and slope y, mm; ``line_scatter`` its random part.
     """
 
     x_mm: float
@@ -30,6 +35,8 @@ class Beam:
     sigma_yaw_deg: float
     sigma_pitch_deg: float
     sigma_random: tuple[float, float, float, float] | None = None
+    line_covariance: FloatArray = field(default_factory=_unknown, compare=False, repr=False)
+    line_scatter: FloatArray = field(default_factory=_unknown, compare=False, repr=False)
 
     @property
     def scatter(self) -> tuple[float, float, float, float]:
@@ -138,17 +145,17 @@ def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
             gain, covariance = line_gain(z_mm, covariance_mm2, reference_plane_mm, per_slope)
             line = gain @ (measured.ravel() + displaced - per_slope @ line[1::2])
     x, slope_x, y, slope_y = (float(value) for value in line)
-    variances = np.diag(covariance)
     per_slope_deg = math.degrees(1 / (1 + slope_x**2)), math.degrees(1 / (1 + slope_y**2))
-    random_x, random_yaw, random_y, random_pitch = _sigmas(variances, per_slope_deg)
+    scatter = covariance
+    random_x, random_yaw, random_y, random_pitch = _sigmas(np.diag(scatter), per_slope_deg)
     effects = {} if limits == NO_LIMITS else effects_mm(limits, z_mm, measured, (slope_x, slope_y))
     if refraction is not None:
         effects |= refraction.effects_mm(line[1::2], z_mm)
     if vibration_mm is not None:
         effects["vibration"] = vibration_mm
     for columns in effects.values():
-        variances = variances + np.square(gain @ columns).sum(axis=1)
-    sigma_x, sigma_yaw, sigma_y, sigma_pitch = _sigmas(variances, per_slope_deg)
+        covariance = covariance + (by_effect := gain @ columns) @ by_effect.T
+    sigma_x, sigma_yaw, sigma_y, sigma_pitch = _sigmas(np.diag(covariance), per_slope_deg)
     return Beam(
         x_mm=x,
         y_mm=y,
@@ -159,6 +166,8 @@ def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
         sigma_yaw_deg=sigma_yaw,
         sigma_pitch_deg=sigma_pitch,
         sigma_random=(random_x, random_y, random_yaw, random_pitch),
+        line_covariance=covariance,
+        line_scatter=scatter,
     )
 
 

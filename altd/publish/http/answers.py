@@ -95,6 +95,7 @@ def _facts(quantity: Quantity, quantities: Quantities) -> dict[str, object]:
         "meaning": quantity.meaning,
         "decimals": quantity.decimals - 1,
         "is_also": quantity.is_also,
+        "point": quantity.point,
         "is_shown": quantity in quantities.shown,
         "has_motion": quantities.has_motion,
     }

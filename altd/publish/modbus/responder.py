@@ -15,7 +15,16 @@ from enum import IntEnum
 from altd import __version__
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
-from altd.publish.modbus.registers import FAR, MEASUREMENT, NEAR, RegisterImage, WordOrder, image
+from altd.publish.modbus.registers import (
+    FAR,
+    JOINT,
+    MACHINE,
+    MEASUREMENT,
+    NEAR,
+    RegisterImage,
+    WordOrder,
+    image,
+)
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import DISCRETE_INPUTS
 from altd.status.health import Component
@@ -112,7 +121,7 @@ MAX_READ = 125
 """Maximum number of registers in one response (6.3)."""
 
 
-TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
+TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR, JOINT, MACHINE)
 """Tables for functions 3 and 4; a read must not extend beyond one of them."""
 
 
@@ -209,7 +218,7 @@ class Responder:
             return self._image.at(self._unit.view())[place]
         if place := BLOCK.place(address, count):
             return self._block.at(self._unit.view(self._stamps.next()))[place]
-        for table in (CONDITION, UNIT, RELATIVE, NEAR, FAR):
+        for table in TABLES[2:]:
             if place := table.place(address, count):
                 return image(self._unit.view(), table, self._order)[place]
         return None

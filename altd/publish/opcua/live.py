@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Set
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from altd.publish.opcua.nodes import OF_PLACE, UnitNodes
 from altd.publish.opcua.quality import Status, status_of, status_of_sensor
 from altd.publish.opcua.start import Start
-from altd.publish.opcua.types import VARIABLES
+from altd.publish.opcua.types import OF_JOINT, VARIABLES
 from altd.status.proof import crc32
 
 LINK_TIMEOUT_S = 2.0
@@ -89,6 +90,10 @@ class LiveUnit:
                     seconds=self._since_s(self._first_sent_ns) + ((said or {}).get("age_s") or 0)
                 )
             await self._write_numbers(key, document, status, at, now)
+        for key in OF_JOINT.keys() & self._nodes.keys:
+            numbers = [math.nan if each is None else each for row in document[key] for each in row]
+            known = numbers if any(map(math.isfinite, numbers)) else None
+            await write(key, known, _known(known, statuses[""]), source, now)
         is_good = is_fresh and statuses[""] is not Status.UNCERTAIN_SIMULATED_VALUE
         of_valid = Status.GOOD if is_good else statuses[""]
         await write("valid", document["valid"], of_valid, source, now)

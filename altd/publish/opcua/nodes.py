@@ -19,6 +19,7 @@ from altd.publish.opcua.types import (
     DEVICE_SET,
     HEALTH_MEANING,
     MODEL,
+    OF_JOINT,
     TYPE,
     VARIABLES,
     VARIANTS,
@@ -65,6 +66,9 @@ class UnitNodes(TypeNodes):
                 await self._variable(f"{place}.{key}", place, name, kind, meaning)
         for key, (name, kind, meaning) in VARIABLES.items():
             await self._variable(key, "unit", name, kind, meaning)
+        for key, (name, meaning) in OF_JOINT.items() if quantities.joint else ():
+            about = meaning.format(", ".join(quantities.joint))
+            await self._variable(key, "unit", name, ua.ObjectIds.Double, about)
 
     @property
     def keys(self) -> Set[str]:
@@ -74,7 +78,7 @@ class UnitNodes(TypeNodes):
     def quantity_of(self, node: ua.NodeId) -> str | None:
         """Key of a quantity in the history, ``TARGET.KEY`` for a target's; None: the node is none."""
         key = str(node.Identifier) if node.NamespaceIndex == self._own else ""
-        is_number = self._types.get(key) is ua.VariantType.Double
+        is_number = self._types.get(key) is ua.VariantType.Double and not is_array(key)
         return (
             key.removeprefix("targets.") if is_number and not key.endswith((".sigma", ".sigma_now")) else None
         )

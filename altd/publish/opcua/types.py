@@ -55,7 +55,16 @@ VARIABLES: Mapping[str, tuple[str, int, str]] = {
 }
 """BrowseName, type and meaning of the nodes that are not quantities, by key."""
 
-_ARRAYS = {"status", "causes"}
+OF_JOINT = {
+    "covariance": (
+        "Covariance",
+        "covariance of {}, row by row, in the products of their units; NaN: not known",
+    ),
+    "covariance_now": ("CovarianceNow", "the same as a statement about the truth when it was written"),
+}
+"""BrowseName and meaning of the joint uncertainty of a beam, by key."""
+
+_ARRAYS = {"status", "causes", *OF_JOINT}
 VARIANTS = {
     ua.ObjectIds.Boolean: ua.VariantType.Boolean,
     ua.ObjectIds.UInt32: ua.VariantType.UInt32,

@@ -5,6 +5,7 @@ The essential cells of ``docs/studies/sigma-now.md``, without pictures.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from support.moving_machine import KEYS, PERIOD_NS, Machine, machine
 
 from altd.config import Measuring
 from altd.records import Measurement
+from altd.status.measurement_json import as_object_now
 from hw_sim.beam import BeamPose
 
 LATE_S = (0.0, 0.5, 1.0)
@@ -84,6 +86,41 @@ def _ratio(measurement: Measurement, moving: Machine, late_s: float, wrong_ns: i
     sigmas = [measurement.sigma_at(key, (read_ns - measurement.t_ns) * 1e-9) for key in KEYS]
     ratio: np.ndarray = (values - moving.truth(read_ns + wrong_ns)) / np.array(sigmas, dtype=np.float64)
     return ratio
+
+
+LEVERS_M = (-2.0, -0.5, 0.0, 0.28, 1.0, 5.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("speed_mm_per_s", "vibrates", "output"), [(0.0, False, "mean"), (1.0, True, "mean"), (1.0, True, "now")]
+)
+def test_a_point_on_a_lever_errs_as_the_covariance_says(
+    speed_mm_per_s: float, vibrates: bool, output: Literal["mean", "now"]
+) -> None:
+    """x(L) = x + L · yaw and y(L) = y + L · pitch, from the published numbers alone."""
+    levers = np.array([[1, 0, lever, 0] for lever in LEVERS_M] + [[0, 1, 0, lever] for lever in LEVERS_M])
+    of_now, of_mean = [], []
+    for seed in range(TRIALS):
+        moving = machine(seed, speed_mm_per_s, vibrates=vibrates)
+        for measurement in moving.measured(range(EXPOSURES), Measuring(output=output))[KNOWN_FROM::3]:
+            document = as_object_now(
+                measurement, age_s=(measurement.light_ns - measurement.t_ns) * 1e-9 + 0.5
+            )
+            values = [document[key] for key in measurement.quantities.joint]
+            for name, ratios, at_ns in (
+                ("covariance_now", of_now, measurement.light_ns + 500_000_000),
+                ("covariance", of_mean, measurement.t_ns),
+            ):
+                x_mm, y_mm, yaw_deg, pitch_deg = moving.truth(at_ns)
+                slopes = 1000 * np.tan(np.radians([yaw_deg, pitch_deg]))
+                errors = levers @ (np.array(values) - [x_mm, y_mm, *slopes])
+                ratios.append(errors / np.sqrt(np.diag(levers @ np.array(document[name]) @ levers.T)))
+    of_cells = np.sqrt(np.mean(np.square(of_now), axis=0))
+    assert of_cells.min() > 0.8, of_cells
+    assert of_cells.max() < 1.25, of_cells
+    if output == "mean" and not (speed_mm_per_s or vibrates):
+        of_cells = np.sqrt(np.mean(np.square(of_mean), axis=0))
+        assert 0.8 < of_cells.min() < of_cells.max() < 1.25, of_cells
 
 
 def test_every_third_exposure_lost_it_still_holds() -> None:

@@ -15,6 +15,7 @@ from playwright.async_api import Browser, Locator, Route, ViewportSize
 from support.led_unit import LedUnit
 from support.page import POSE, SIZES, Seen, browser, seen, watched_unit
 
+from altd.config import Machine
 from altd.measuring.calibration import Calibration
 from altd.ports import CameraLostError
 from altd.records import Frame
@@ -200,6 +201,36 @@ async def middle_of_spot(figure: Locator) -> tuple[float, float] | None:
     blue, green, red = cv2.split(image)
     v, u = np.nonzero((green > 200) & (red < 120) & (blue < 160))
     return (float(u.mean() / green.shape[1]), float(v.mean() / green.shape[0])) if u.size else None
+
+
+async def test_the_driver_chooses_one_point_of_the_machine(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
+    """Points at the front and the rear target are as far from the beam as its spots are from the middle."""
+    points = [
+        {"name": name, "x_mm": 0.0, "y_mm": 0.0, "z_mm": z_mm, "sigma_mm": 0.5}
+        for name, z_mm in (("tail", 0.0), ("head", 280.0))
+    ]
+    machine = Machine.model_validate({"roll_deg": 0.0, "points": points})
+    async with (
+        watched_unit(calibration_of_unit_3, machine=machine) as running,
+        seen(started, running, SIZES["phone"], goes_on=False) as shown,
+    ):
+        await shown.open("drive")
+        now = await shown.once(lambda now: "tail_right_mm" in now["values"])
+        assert "head_right_mm" not in now["values"]
+        assert float(now["values"]["tail_up_mm"].replace("\N{MINUS SIGN}", "-")) == pytest.approx(
+            7.0, abs=0.2
+        )
+        await shown.page.get_by_label("point of the machine").select_option("head")
+        now = await shown.once(lambda now: "head_right_mm" in now["values"])
+        assert "tail_right_mm" not in now["values"]
+        wanted_mm = -(POSE.x_mm + 280.0 * POSE.slope_x)
+        shown_mm = float(now["values"]["head_right_mm"].replace("\N{MINUS SIGN}", "-"))
+        assert shown_mm == pytest.approx(wanted_mm, abs=0.2)
+        assert now["overflow"] == 0
+        await shown.page.reload()
+        await shown.once(lambda now: "head_right_mm" in now["values"])
 
 
 async def test_pictures_are_seen_along_the_beam(started: Browser, calibration_of_unit_3: Calibration) -> None:

@@ -68,6 +68,17 @@ offset_yaw_deg = «90                 # 90 is too large
 offset_yaw_deg = «90.0               # 90.0 is too large; possible: number from -45 to 45
 offset_y_mm = «1e200                 # 1e+200 is too large; possible: number from -100000 to 100000
 thermometer = «"hosing"              # "hosing" is not the name of a thermometer; did you mean `housing`?
+[machine]
+roll_deg = «2.0                      # is already measured by the inclinometer; possible: without
+roll_sigma_deg = «-1.0               # -1.0 is too small
+mount_yaw_deg = «46.0                # 46.0 is too large; possible: number from -45 to 45
+[machine.points.0]
+name = «"Cutter head"                # has characters that are not allowed
+x_mm = «"left"                       # "left" is not a number
+-sigma_mm                            # this key is missing; possible: number
+[machine.points.1]
+name = «"cutterhead"                 # is already the name of a point; choose another
+sigma_mm = «-1.0                     # -1.0 is too small; possible: number from 0 to 1000
 [modbus_tcp]
 host = «"224.0.0.1"                  # address of groups
 host = «"fe80::1"                    # name its interface

@@ -254,3 +254,10 @@ def test_every_driver_is_in_the_table_of_drivers() -> None:
     used = {part for field in Config.model_fields.values() for part in within(field.annotation)}
     assert found == used & found
     assert len(found) >= 10
+
+
+def test_points_of_the_machine_need_a_roll(tmp_path: Path) -> None:
+    point = '[[machine.points]]\nname = "shield"\nx_mm = 0\ny_mm = 0\nz_mm = 900\nsigma_mm = 1\n'
+    said = complaint(write(tmp_path, f"{GOOD}\n{point}"))
+    assert "machine.roll_deg: the points need a roll; possible: roll_deg, or a table [inclinometer]" in said
+    assert load_config(write(tmp_path, f"{GOOD}\n[machine]\nroll_deg = 0.5\n{point}")).machine is not None

@@ -41,6 +41,23 @@ offset_x_mm = 12.5
 offset_yaw_deg = 0.25
 thermometer = "housing"
 
+[machine]
+mount_sigma_deg = 0.02
+
+[[machine.points]]
+name = "cutterhead"
+x_mm = 0.0
+y_mm = -1250.0
+z_mm = 4800.0
+sigma_mm = 1.0
+
+[[machine.points]]
+name = "tail"
+x_mm = 0.0
+y_mm = -1250.0
+z_mm = -3100.0
+sigma_mm = 1.0
+
 [modbus_tcp]
 host = "0.0.0.0"
 port = 502

@@ -57,6 +57,29 @@ def test_sigma_now_grows_with_age() -> None:
     assert sigmas[-1] == pytest.approx(math.hypot(0.004, 0.0102, 0.512, 0.2), abs=1e-3)
 
 
+def test_the_covariance_has_the_sigmas_on_its_diagonal_and_is_null_where_a_number_is() -> None:
+    slopes = [1000 * math.tan(math.radians(MEASURED.values[key].value)) for key in KEYS[2:]]
+    per_deg = [1.0, 1.0, *(1000 * math.radians(1) * (1 + (slope / 1000) ** 2) for slope in slopes)]
+    document = as_object_now(MEASURED, AGE_S)
+    for name, of in (("covariance", "sigma"), ("covariance_now", "sigma_now")):
+        diagonal = [math.sqrt(document[name][place][place]) for place in range(4)]
+        assert diagonal == pytest.approx(
+            [document[of][key] * per_deg[at] for at, key in enumerate(KEYS)], rel=0.01
+        )
+    nothing = [[None] * 4] * 4
+    invalid = as_object_now(MEASURED.without_numbers(()), AGE_S)
+    assert (invalid["covariance"], invalid["covariance_now"]) == (nothing, nothing)
+    assert as_object_now(replace(MEASURED, motions={}), AGE_S)["covariance_now"] == nothing
+    roll = SensorValue(Quality.GOOD, value=60.0, sigma=0.1, expires_ns=10**12)
+    with_roll = replace(MEASURED, quantities=QUANTITIES.with_sensor("roll_deg")).with_sensors(
+        {"roll_deg": roll}
+    )
+    rows = as_object(with_roll)["covariance"]
+    assert [row[:4] for row in rows[:4]] == document["covariance"]
+    assert rows[4] == [0, 0, 0, 0, pytest.approx((1000 * math.radians(0.1) * 4) ** 2, rel=1e-5)]
+    assert as_object(with_roll.without_numbers(()))["covariance"][4] == [None] * 4 + rows[4][4:]
+
+
 def test_rates_are_per_second_with_their_sigma() -> None:
     rates = as_object_now(MEASURED, AGE_S)["rates"]
     assert rates["y_mm_per_s"] == -0.0214

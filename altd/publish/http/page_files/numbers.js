@@ -1,9 +1,11 @@
 // The quantities with both uncertainties.
 
 import { html, useState } from "./vendor/htm-preact.js";
+import { useKept } from "./keeping.js";
 import { QUANTITIES, UNKNOWN, counted, fixed, local, sigmaOf } from "./words.js";
 
 const FAR_DECIMALS = 1;
+const POINTS = [...new Set(QUANTITIES.map(quantity => quantity.point))].filter(Boolean);
 
 function Row({ quantity, measurement, decimals }) {
   return html`<tr>
@@ -14,12 +16,13 @@ function Row({ quantity, measurement, decimals }) {
   </tr>`;
 }
 
-// isFar: read from two metres: large, with one decimal, directions in mm/m as in the bull's eyes.
+// isFar: read from two metres: large, with one decimal, directions in mm/m as in the bull's eyes, one of the machine's points.
 export function Numbers({ measurement, zone, isFar }) {
   const there = local(measurement?.time, zone);
   const [inSlopes, setInSlopes] = useState(isFar);
+  const [point, setPoint] = useKept("point of the machine", POINTS[0] ?? "", value => POINTS.includes(value));
   const also = QUANTITIES.filter(quantity => quantity.is_also);
-  const shown = QUANTITIES.filter(quantity => !quantity.is_also && (quantity.is_shown || measurement?.[quantity.key] != null));
+  const shown = QUANTITIES.filter(quantity => !quantity.is_also && !(isFar && quantity.point && quantity.point !== point) && (quantity.is_shown || measurement?.[quantity.key] != null));
   const absent = isFar ? [] : QUANTITIES.filter(quantity => !quantity.is_also && !shown.includes(quantity));
   const rows = shown.map(quantity => {
     const other = inSlopes && also.find(each => each.is_also === quantity.key);
@@ -35,6 +38,8 @@ export function Numbers({ measurement, zone, isFar }) {
           <td class="value">${UNKNOWN}</td><td colspan="2" class="why">not available: ${quantity.meaning}</td></tr>`)}
       </tbody>
     </table>
+    ${isFar && POINTS.length > 1 && html`<label>point of the machine <select value=${point} onChange=${event => setPoint(event.target.value)}>
+      ${POINTS.map(name => html`<option key=${name} value=${name}>${name}</option>`)}</select></label>`}
     ${!isFar && html`${also.length > 0 && html`<button type="button" aria-pressed=${inSlopes} onClick=${() => setInSlopes(!inSlopes)}>
       directions in ${inSlopes ? "degrees" : also[0].unit}</button>`}
     <p class="when">${measurement ? html`<time datetime=${measurement.time}>${measurement.time ?? "time not known"}</time>${there && html` (${there.slice(11)} ${zone})`},

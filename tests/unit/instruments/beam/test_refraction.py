@@ -11,9 +11,9 @@ from support.recordings import place_px
 
 from altd.calibration.file import load_calibration
 from altd.config import Installation, Measuring
-from altd.instruments.beam.instrument import BeamInstrument, beam_motions
+from altd.instruments.beam.instrument import BeamInstrument, beam_motions, by_line
 from altd.instruments.beam.refraction import Refraction, displacement_mm, displacement_sensitivities
-from altd.instruments.beam.solver import Beam, fit_beam, line_gain
+from altd.instruments.beam.solver import Beam, fit_beam, joint_jacobian_mm_per_px, line_gain
 from altd.records import FloatArray, Glass, MeanSpots, TargetPoint
 from altd.records.spots import SpotMotion
 
@@ -109,7 +109,8 @@ def test_rates_and_sigma_have_the_gain_of_a_beam_behind_glass() -> None:
     rate_px = 4.0 * (after - before).ravel()
     motion = SpotMotion(rate_px, 1e-4 * np.eye(4), np.zeros((4, 4)), np.zeros(4), 0.0, 0.1, 1.0, 0.5)
     gain, _ = line_gain(z_mm, covariance, 0.0, refraction.displaced_mm(beam.slopes, z_mm)[1])
-    of_beam = beam_motions(motion, points, gain, beam, Installation())
+    by_px = by_line(beam, Installation()) @ gain @ joint_jacobian_mm_per_px(points)
+    of_beam = beam_motions(motion, by_px)
     wanted = np.degrees(turn / (1 + slopes**2))
     assert [of_beam["yaw_deg"].rate, of_beam["pitch_deg"].rate] == pytest.approx(wanted, rel=1e-6)
     draws = np.random.default_rng(1).normal(0, 0.01, (2000, 4)) + (before + after).ravel() / 2
