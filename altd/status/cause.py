@@ -82,7 +82,10 @@ class CauseFilter:
         self._seen: dict[tuple[Kind, str | None], _Seen] = {}
 
     def update(self, causes: Iterable[Cause], now_ns: int) -> tuple[ShownCause, ...]:
-        """Update with the present causes; returns the shown ones, the worst first, then the oldest."""
+        """Update with the present causes; returns the shown ones, the worst first, then the oldest.
+
+        A failed camera comes before the missing frames that it explains.
+        """
         now = {(cause.kind, cause.of): cause for cause in causes}
         for key, seen in list(self._seen.items()):
             if key not in now:
@@ -101,7 +104,11 @@ class CauseFilter:
             for seen in self._seen.values()
             if _is_shown(seen)
         ]
-        return tuple(sorted(shown, key=lambda cause: (-cause.signal.severity, cause.since_ns)))
+
+        def rank(shown: ShownCause) -> tuple[int, bool, int]:
+            return -shown.signal.severity, shown.cause.kind is not Condition.CAMERA_FAILED, shown.since_ns
+
+        return tuple(sorted(shown, key=rank))
 
 
 def _hold_ns(kind: Kind) -> int:

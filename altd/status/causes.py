@@ -30,7 +30,7 @@ OF_DELAYS = {
     Condition.CAMERA_DEGRADED,
     Condition.COMPONENT_SILENT,
 }
-"""Causes that a busy computer has, too: while it is busy, a cable or a trigger is not the first suspect."""
+"""Causes that a busy computer has, too. Unless a camera has failed, it is then the first suspect."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
 """Kinds of components that are external interfaces."""
@@ -50,7 +50,8 @@ def causes_now(
         return [Cause(Condition.STARTING), *causes]
     if measurement is None:
         causes.insert(0, Cause(Condition.NOTHING_MEASURED))
-    if any(cause.kind is Condition.COMPUTER_BUSY for cause in causes):
+    kinds = {cause.kind for cause in causes}
+    if Condition.COMPUTER_BUSY in kinds and Condition.CAMERA_FAILED not in kinds:
         busy = FaultCause.BUSY_COMPUTER
         causes = [replace(cause, known=busy) if cause.kind in OF_DELAYS else cause for cause in causes]
     return causes

@@ -26,8 +26,11 @@ _CAMERA_BELOW = Advice("the camera delivers no frames", "see the camera below")
 
 def advice(fault: Fault, status: Iterable[Fault], components: Iterable[ComponentReport] = ()) -> Advice:
     """Return the fault and its remedy, by its cause, the other faults and the components."""
-    cause = fault.cause
-    if fault.reason in OF_DELAYS and any(_is_busy(component) for component in components):
+    cause, components = fault.cause, list(components)
+    has_failed = any(
+        component.kind == "camera" and component.state is State.FAILED for component in components
+    )
+    if fault.reason in OF_DELAYS and not has_failed and any(_is_busy(component) for component in components):
         cause = FaultCause.BUSY_COMPUTER
     if cause is not None:
         return Advice(cause.meaning, cause.remedy)

@@ -14,6 +14,7 @@ from altd.status.cause import ShownCause, StateReport
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, ComponentReport, State, duration
 from altd.status.unit import UnitView
+from altd.status.zero import ZeroState
 
 _SHOWN_BY_COMPONENTS = {
     Condition.CAMERA_FAILED,
@@ -132,6 +133,7 @@ def status_text(view: UnitView, *, whole: bool = False) -> str:
         facts["sigma now"] = _uncertainty(measurement, view.age_s)
     if report is not None:
         facts["available"] = _available(report, whole)
+    facts["zero"] = _zero(view.zero)
     known = view.facts.known
     facts |= {name: known[name] for name in sorted(known, key=_LAST_FACTS.__contains__)}
     width = max(map(len, facts)) + 2
@@ -140,6 +142,13 @@ def status_text(view: UnitView, *, whole: bool = False) -> str:
     if components:
         lines += ["", *component_lines(components, whole=whole)]
     return "\n".join(lines)
+
+
+def _zero(zero: ZeroState) -> str:
+    if zero.measurement is None:
+        return "not set since the start"
+    time = zero.measurement.time
+    return f"{'time not known' if time is None else utc_text(time)}, by {zero.by}"
 
 
 def component_lines(components: Sequence[ComponentReport], *, whole: bool) -> list[str]:

@@ -190,6 +190,21 @@ def test_while_the_computer_is_busy_no_cable_and_no_trigger_is_suspected_first(r
     assert advice() == {reason.remedy}
 
 
+def test_a_camera_that_failed_comes_first_and_no_busy_computer_explains_its_frames() -> None:
+    """Whichever was seen first: a cable that was pulled while the computer was busy."""
+    unit = Unit()
+    unit.health.component("computer").set_state(State.DEGRADED)
+    silent = Fault(Reason.CAMERA_SILENT, "rear", "no frame comes")
+    unit.measure(silent, for_s=0.5)
+    unit.health.component("camera rear").set_state(State.FAILED, "lost: the cable was pulled")
+    first, second, *_ = unit.measure(silent, for_s=MAINTENANCE_DELAY_S).causes
+    assert (first.cause.kind, first.cause.of) == (Condition.CAMERA_FAILED, "camera rear")
+    assert (second.cause.kind, second.cause.remedy) == (Reason.CAMERA_SILENT, Reason.CAMERA_SILENT.remedy)
+    console = " ".join(status_text(unit.published.view()).split())
+    assert FaultCause.BUSY_COMPUTER.remedy not in console
+    assert "rear target: the camera delivers no frames (no frame comes): see the camera below" in console
+
+
 def test_a_busy_computer_explains_no_missing_spot() -> None:
     unit = Unit()
     unit.health.component("computer").set_state(State.DEGRADED)

@@ -62,6 +62,12 @@ def test_the_state_and_whether_it_measures_come_first_and_facts_of_makers_last(t
     assert names[-2:] == ["unit_number", "spot_fit"]
 
 
+def test_who_set_the_zero_is_said(told: Told) -> None:
+    assert "zero not set since the start" in told.words()
+    told.published.zero.set(told.board, "modbus 10.0.0.5")
+    assert "zero time not known, by modbus 10.0.0.5" in told.words()
+
+
 def test_every_cause_is_named_with_what_to_do(told: Told) -> None:
     told.health.component("serial /dev/ttyS0").set_state(State.FAILED, "no such device")
     told.causes = [Cause(Condition.LASER_WEAK, "front", "40 % of its reference")]
