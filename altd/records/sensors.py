@@ -35,7 +35,8 @@ class SensorValue:
     """A sensor's value of a quantity with its sigma, or the reason why ``value`` is None.
 
     ``t_ns`` is the time of the reading, ``age_s`` its age when it was added to a measurement; after
-    ``expires_ns`` it is no longer shown. ``detail`` is the sentence for people.
+    ``expires_ns`` it is no longer shown. ``rate`` is its change per second, 0 if it is not larger than noise.
+    ``detail`` is the sentence for people.
     """
 
     quality: Quality
@@ -45,6 +46,7 @@ class SensorValue:
     t_ns: int = 0
     age_s: float | None = None
     expires_ns: int = 0
+    rate: float = 0.0
 
     def at(self, now_ns: int) -> SensorValue:
         """Return the value at that moment; ``OLD`` and without its number once that has expired."""

@@ -14,6 +14,7 @@ from altd.records.sensors import Quality, SensorValue, within_half_turn
 _MIN_READINGS = 4
 _MAX_READINGS = 10
 """Maximum number of readings from which noise is estimated: the last two seconds."""
+_SIGNIFICANT = 2.0
 _MIN_SAME = 3
 """Minimum number of repeated readings for a frozen sensor; fewer prove nothing, however long they take."""
 _MAX_STILL_S = 60.0
@@ -39,6 +40,7 @@ class InclinationJudge:
     def restart(self) -> None:
         """Forget the readings: the sensor may have been exchanged."""
         self._rolls_deg: deque[float] = deque(maxlen=_MAX_READINGS)
+        self._times_ns: deque[int] = deque(maxlen=_MAX_READINGS)
         self._last: InclinometerReading | None = None
         self._moved_ns = self._roll_moved_ns = self._same = 0
         self._has_moved = False
@@ -50,6 +52,7 @@ class InclinationJudge:
         )
         still = self._stillness(reading)
         self._rolls_deg.append(roll_deg)
+        self._times_ns.append(reading.t_ns)
         self.noise_deg = _noise(self._rolls_deg)
         if not _POSSIBLE_C[0] <= reading.temperature_c <= _POSSIBLE_C[1]:
             text = f"its temperature cannot be: {reading.temperature_c:.1f} degC"
@@ -73,6 +76,7 @@ class InclinationJudge:
             sigma=self._sigma_deg(reading, self.noise_deg),
             t_ns=reading.t_ns,
             expires_ns=reading.t_ns + round(self._settings.max_age_s * 1e9),
+            rate=_rate(self._times_ns, self._rolls_deg, math.hypot(self.noise_deg, self._accuracy.step_deg)),
         )
 
     def gravity_pitch_deg(self, reading: InclinometerReading) -> float | None:
@@ -108,6 +112,16 @@ class InclinationJudge:
         known = self._accuracy
         limit_deg = known.limit_deg if self._is_at_its_best(reading) else known.limit_elsewhere_deg
         return math.sqrt((limit_deg**2 + known.cross_axis_deg**2) / 3 + known.step_deg**2 / 12 + noise_deg**2)
+
+
+def _rate(times_ns: Sequence[int], angles_deg: Sequence[float], noise_deg: float) -> float:
+    """Return the slope of the angles, degrees/s, 0 if it is not significant (two standard deviations)."""
+    since_s = [(t_ns - times_ns[0]) * 1e-9 for t_ns in times_ns]
+    middle_s = sum(since_s) / len(since_s)
+    spread_s2 = sum((s - middle_s) ** 2 for s in since_s)
+    turned_deg = [within_half_turn(angle - angles_deg[0]) for angle in angles_deg]
+    moment = sum((s - middle_s) * angle for s, angle in zip(since_s, turned_deg, strict=True))
+    return moment / spread_s2 if abs(moment) > _SIGNIFICANT * noise_deg * math.sqrt(spread_s2) > 0.0 else 0.0
 
 
 def _noise(angles_deg: Sequence[float]) -> float | None:

@@ -15,6 +15,8 @@ _KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Steps of central differences: x and y, mm; slopes, mm/m; roll and the three angles of the mounting, rad."""
 
+_APART_S = 1.0
+"""Maximum time between the beam of a measurement and its roll, s: a machine may roll meanwhile."""
 _STEPS_OF_VERTICAL = 4
 """Steps of the fixed point for t, each 100 times as accurate as the one before at slopes of 0.1."""
 
@@ -85,8 +87,10 @@ class MachinePoints:
         """Return roll and its sigma, degrees; None: not known."""
         if (stated_deg := self._machine.roll_deg) is not None:
             return stated_deg, self._machine.roll_sigma_deg
-        known = measurement.known("roll_deg")
-        return None if known is None or known.sigma is None else (known.value, known.sigma)
+        said = measurement.from_sensors.get("roll_deg")
+        if said is None or said.value is None or said.sigma is None:
+            return None
+        return said.value, math.hypot(said.sigma, said.rate * _APART_S)
 
     def _places_mm(self, at: FloatArray) -> FloatArray:
         """Return the distances (k, points, 2) to the right and up, for k sets ``at`` (k, 8), see ``_STEPS``.

@@ -161,3 +161,11 @@ def test_after_a_restart_nothing_of_before_counts() -> None:
     last_of(judged, noisy(10, 0.02))
     judged.restart()
     assert judged.roll(reading(20, 1.0)).quality is Quality.STARTING
+
+
+@pytest.mark.parametrize("per_s", [0.1, -0.3])
+def test_a_machine_that_rolls_has_a_rate_and_noise_has_none(per_s: float) -> None:
+    rolling = last_of(judge(), noisy(10, 0.01, per_reading_deg=per_s * INTERVAL_NS * 1e-9))
+    assert rolling.rate == pytest.approx(per_s, abs=0.03)
+    resting = [last_of(judge(), noisy(10, 0.02, seed)).rate for seed in range(40)]
+    assert sum(rate == 0.0 for rate in resting) >= 32

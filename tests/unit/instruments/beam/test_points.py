@@ -169,6 +169,17 @@ def test_points_go_with_the_roll_and_with_the_beam() -> None:
     assert (blocked.valid, dict(blocked.linear)) == (False, {})
 
 
+def test_a_machine_that_rolls_has_the_roll_of_a_second_in_sigma() -> None:
+    points, still = MachinePoints(machine_of(LEVERS_MM), Installation()), measured((0.0, 0.0, 0.0, 0.0))
+    sigmas = []
+    for rate in (0.0, 0.2):
+        roll = SensorValue(Quality.GOOD, value=0.0, sigma=0.01, expires_ns=10**9, rate=rate)
+        sigmas.append(points.finish(still.with_sensors({"roll_deg": roll})).sigma("p1_right_mm") or 0.0)
+    assert sigmas == pytest.approx(
+        [1250.0 * math.radians(0.01), 1250.0 * math.radians(math.hypot(0.01, 0.2))]
+    )
+
+
 def test_each_point_has_two_quantities_and_a_unit_without_points_none() -> None:
     keys = [each.key for each in quantities_of(Installation(), machine_of(LEVERS_MM[:1])).of_unit]
     assert keys == [*(each.key for each in QUANTITIES.of_unit), "p0_right_mm", "p0_up_mm"]
