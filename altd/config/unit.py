@@ -185,8 +185,8 @@ class Machine(Table):
 
     roll_deg: Annotated[float, Field(ge=-180, le=180)] | None = None
     """Roll of the unit as surveyed, degrees, where no inclinometer is fitted."""
-    roll_sigma_deg: _Sigma = 0.0
-    """Standard uncertainty of ``roll_deg``, degrees."""
+    roll_sigma_deg: _Sigma | None = None
+    """Standard uncertainty of ``roll_deg``, degrees; needed with it."""
     beam_inclination_mm_per_m: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
     """Inclination of the beam, mm/m, positive if it rises: the direction of the vertical depends on it."""
     mount_yaw_deg: OffsetDegrees = 0.0
@@ -195,7 +195,17 @@ class Machine(Table):
     """The same, up."""
     mount_roll_deg: OffsetDegrees = 0.0
     """Turn of the unit about its axis against the machine, degrees: clockwise as seen along the beam."""
-    mount_sigma_deg: _Sigma = 0.0
-    """Standard uncertainty of each of the three, degrees."""
+    mount_sigma_deg: _Sigma | None = None
+    """Standard uncertainty of each of the three, degrees; needed with points."""
     points: Annotated[tuple[MachinePoint, ...], Field(max_length=8)] = ()
     """Points of the machine, a table ``[[machine.points]]`` each."""
+
+    @model_validator(mode="after")
+    def _check_sigmas(self) -> Self:
+        if self.roll_deg is not None and self.roll_sigma_deg is None:
+            raise complaint((("roll_deg",), "its uncertainty is not stated; add roll_sigma_deg"))
+        if self.points and self.mount_sigma_deg is None:
+            raise complaint(
+                (("points",), "the uncertainty of the mounting is not stated; add mount_sigma_deg")
+            )
+        return self

@@ -67,7 +67,7 @@ class MachinePoints:
         steps = np.diag(_STEPS)
         both = self._places_mm(np.concatenate([at + steps, at - steps, at[None]]))
         gradients = (both[: len(steps)] - both[len(steps) : -1]) / (2.0 * _STEPS[:, None, None])
-        roll_and_mount = np.radians([roll[1], *[self._machine.mount_sigma_deg] * 3])
+        roll_and_mount = np.radians([roll[1], *[self._machine.mount_sigma_deg or 0.0] * 3])
         others = np.square(gradients[4:] * roll_and_mount[:, None, None]).sum(axis=0)
         others += self._lever_variance[:, None]
         linear = {
@@ -86,7 +86,7 @@ class MachinePoints:
     def _roll(self, measurement: Measurement) -> tuple[float, float] | None:
         """Return roll and its sigma, degrees; None: not known."""
         if (stated_deg := self._machine.roll_deg) is not None:
-            return stated_deg, self._machine.roll_sigma_deg
+            return stated_deg, self._machine.roll_sigma_deg or 0.0
         said = measurement.from_sensors.get("roll_deg")
         if said is None or said.value is None or said.sigma is None:
             return None

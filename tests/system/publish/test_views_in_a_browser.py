@@ -211,7 +211,9 @@ async def test_the_driver_chooses_one_point_of_the_machine(
         {"name": name, "x_mm": 0.0, "y_mm": 0.0, "z_mm": z_mm, "sigma_mm": 0.5}
         for name, z_mm in (("tail", 0.0), ("head", 280.0))
     ]
-    machine = Machine.model_validate({"roll_deg": 0.0, "points": points})
+    machine = Machine.model_validate(
+        {"roll_deg": 0.0, "roll_sigma_deg": 0.0, "mount_sigma_deg": 0.0, "points": points}
+    )
     async with (
         watched_unit(calibration_of_unit_3, machine=machine) as running,
         seen(started, running, SIZES["phone"], goes_on=False) as shown,

@@ -69,8 +69,9 @@ offset_yaw_deg = «90.0               # 90.0 is too large; possible: number from
 offset_y_mm = «1e200                 # 1e+200 is too large; possible: number from -100000 to 100000
 thermometer = «"hosing"              # "hosing" is not the name of a thermometer; did you mean `housing`?
 [machine]
-roll_deg = «2.0                      # is already measured by the inclinometer; possible: without
+roll_deg = «2.0; roll_sigma_deg = 0.1 # is already measured by the inclinometer; possible: without
 roll_sigma_deg = «-1.0               # -1.0 is too small
+roll_deg = «2.0; mount_sigma_deg = 0.1 # its uncertainty is not stated; add roll_sigma_deg
 mount_yaw_deg = «46.0                # 46.0 is too large; possible: number from -45 to 45
 [machine.points.0]
 name = «"Cutter head"                # has characters that are not allowed

@@ -258,6 +258,13 @@ def test_every_driver_is_in_the_table_of_drivers() -> None:
 
 def test_points_of_the_machine_need_a_roll(tmp_path: Path) -> None:
     point = '[[machine.points]]\nname = "shield"\nx_mm = 0\ny_mm = 0\nz_mm = 900\nsigma_mm = 1\n'
-    said = complaint(write(tmp_path, f"{GOOD}\n{point}"))
+    said = complaint(write(tmp_path, f"{GOOD}\n[machine]\nmount_sigma_deg = 0.05\n{point}"))
     assert "machine.roll_deg: the points need a roll; possible: roll_deg, or a table [inclinometer]" in said
-    assert load_config(write(tmp_path, f"{GOOD}\n[machine]\nroll_deg = 0.5\n{point}")).machine is not None
+    machine = "[machine]\nroll_deg = 0.5\nroll_sigma_deg = 0.02\nmount_sigma_deg = 0.05\n"
+    assert load_config(write(tmp_path, f"{GOOD}\n{machine}{point}")).machine is not None
+    for key, about in (
+        ("roll_sigma_deg = 0.02\n", "roll_deg: its"),
+        ("mount_sigma_deg = 0.05\n", "points: the"),
+    ):
+        said = complaint(write(tmp_path, f"{GOOD}\n{machine.replace(key, '')}{point}"))
+        assert f"machine.{about} uncertainty" in said

@@ -65,7 +65,8 @@ def _direction(heading: float, grade: float) -> FloatArray:
 def machine_of(levers_mm: FloatArray, **more: Any) -> Machine:
     places = [dict(zip(("x_mm", "y_mm", "z_mm"), lever.tolist(), strict=True)) for lever in levers_mm]
     points = [{"name": f"p{number}", "sigma_mm": 0.0, **place} for number, place in enumerate(places)]
-    return Machine.model_validate({"points": points, **more})
+    sigmas = {"roll_sigma_deg": 0.0, "mount_sigma_deg": 0.0}
+    return Machine.model_validate({"points": points, **sigmas, **more})
 
 
 def measured(beam: tuple[float, float, float, float], covariance: FloatArray | None = None) -> Measurement:

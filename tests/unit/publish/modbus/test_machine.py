@@ -16,7 +16,9 @@ from tools.pages.example import AGE_S, MEASURED, view_of
 POINTS = [
     {"name": f"p{number}", "x_mm": 0, "y_mm": 0, "z_mm": 1000 * number, "sigma_mm": 1} for number in (1, 2)
 ]
-SETTINGS = Machine.model_validate({"roll_deg": 1.0, "points": POINTS})
+SETTINGS = Machine.model_validate(
+    {"roll_deg": 1.0, "roll_sigma_deg": 0.0, "mount_sigma_deg": 0.0, "points": POINTS}
+)
 OF_MACHINE = quantities_of(Installation(), SETTINGS)
 KNOWN = MachinePoints(SETTINGS, Installation()).finish(replace(MEASURED, quantities=OF_MACHINE))
 
