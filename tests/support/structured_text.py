@@ -3,6 +3,7 @@
 Debian, PyPI and npm have no free compiler of it. Precedence is that of table 71 of IEC 61131-3:2013.
 """
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 _TOKEN = re.compile(
     r"16#[0-9A-F]+|'[^']*'|\d+\.\d+(?:E\d+)?|\d+|\.\.|:=|<>|<=|>=|[A-Za-z]\w*(?:\.[a-z]\w*)?|\S"
 )
-_LEVELS = (("OR",), ("XOR",), ("AND",), ("=", "<>"), ("<", ">", "<=", ">="), ("+", "-"), ("*",))
+_LEVELS = (("OR",), ("XOR",), ("AND",), ("=", "<>"), ("<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 """From the loosest operators to the tightest."""
 _PYTHON = {"OR": "|", "XOR": "^", "AND": "&", "=": "==", "<>": "!="}
 _MASKS = {"WORD": 0xFFFF, "DWORD": 0xFFFF_FFFF, "UDINT": 0xFFFF_FFFF}
@@ -33,6 +34,9 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "LIMIT": lambda low, value, high: max(low, min(value, high)),
     "MAX": max,
     "EXPT": lambda base, power: base**power,
+    "SIN": math.sin,
+    "COS": math.cos,
+    "SQRT": math.sqrt,
     "CONCAT": lambda first, second: first + second,
     "WORD_TO_INT": lambda word: word - 0x1_0000 if word >= 0x8000 else word,
     "WORD_TO_DWORD": int,

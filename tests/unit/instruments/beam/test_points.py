@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import measurements
+from support.world import World
 
 from altd.config import Installation, Machine
 from altd.instruments.beam.instrument import QUANTITIES, quantities_of
@@ -15,51 +16,7 @@ from altd.records import FloatArray, Measurement
 from altd.records.joint import Joint
 from altd.records.sensors import Quality, SensorValue
 
-VERTICAL = np.array([0.0, 0.0, 1.0])
 LEVERS_MM = np.array([[0.0, 0.0, 0.0], [310.0, -1250.0, 4800.0], [-900.0, 400.0, -2000.0]])
-
-
-class World:
-    """A unit that looks north, turned by heading, grade and roll, and a beam from the south."""
-
-    def __init__(self, unit_deg: tuple[float, float, float], beam_deg: tuple[float, float]) -> None:
-        heading, grade, roll = np.radians(unit_deg)
-        self.z = _direction(heading, grade)
-        level = np.cross(self.z, VERTICAL)
-        level /= np.linalg.norm(level)
-        upright = np.cross(level, self.z)
-        self.x = math.cos(roll) * level - math.sin(roll) * upright
-        self.y = math.sin(roll) * level + math.cos(roll) * upright
-        self.along = _direction(*np.radians(beam_deg))
-        self.origin = np.array([12_000.0, 85_000.0, -3_000.0])
-        self.passes = self.origin + 23.0 * self.x - 14.0 * self.y
-
-    @property
-    def roll_deg(self) -> float:
-        """Angle in the unit's xy-plane between y and the vertical: what an inclinometer on its axis shows."""
-        return math.degrees(math.atan2(-self.x @ VERTICAL, self.y @ VERTICAL))
-
-    def seen(self, plane_mm: float = 0.0) -> tuple[float, float, float, float]:
-        """The beam in the unit: x and y in the plane z = plane, yaw and pitch."""
-        along = np.array([self.along @ axis for axis in (self.x, self.y, self.z)])
-        at = np.array([(self.passes - self.origin) @ axis for axis in (self.x, self.y, self.z)])
-        at += along * (plane_mm - at[2]) / along[2]
-        return (at[0], at[1], *np.degrees(np.arctan(along[:2] / along[2])))
-
-    def distances(self, levers_mm: FloatArray) -> FloatArray:
-        """Horizontal and vertical distances of the points from the beam, perpendicular to it."""
-        points = self.origin + levers_mm @ np.array([self.x, self.y, self.z])
-        from_beam = points - self.passes
-        from_beam = from_beam - np.outer(from_beam @ self.along, self.along)
-        right = np.cross(self.along, VERTICAL)
-        right /= np.linalg.norm(right)
-        return np.stack([from_beam @ right, from_beam @ np.cross(right, self.along)], axis=1)
-
-
-def _direction(heading: float, grade: float) -> FloatArray:
-    return np.array(
-        [math.sin(heading) * math.cos(grade), math.cos(heading) * math.cos(grade), math.sin(grade)]
-    )
 
 
 def machine_of(levers_mm: FloatArray, **more: Any) -> Machine:
