@@ -92,17 +92,6 @@ def test_a_lane_is_due_for_sixty_commits_after_a_change(project: Project, file: 
     assert set(project.due()) == {TURNS[project.commits % 4]}
 
 
-def test_a_lane_is_due_for_a_day_after_a_change_if_that_has_more_than_sixty_commits(project: Project) -> None:
-    project.touch("benchmarks/a_file")
-    project.commit(95, after_s=60)
-    assert "workshop" in project.due()
-    assert project.commits % 4 != TURNS.index("workshop")
-    project.commit(1, after_s=DAY_S)
-    project.commit(60, after_s=60)
-    project.commit((1 - project.commits) % 4, after_s=60)
-    assert project.due() == ["package"]
-
-
 def test_in_a_clone_without_its_history_all_are_due(project: Project, tmp_path: Path) -> None:
     clone = tmp_path / "clone"
     source = project.folder.as_uri()
