@@ -27,6 +27,10 @@ MEASURED = [
     *("x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per_m", "roll_deg"),
     *("sigma_x_mm", "sigma_y_mm", "sigma_yaw_deg", "sigma_pitch_deg"),
     *("sigma_random_x_mm", "sigma_random_y_mm", "sigma_random_yaw_deg", "sigma_random_pitch_deg"),
+    *("covariance_x_mm_x_mm", "covariance_x_mm_y_mm", "covariance_x_mm_yaw_mm_per_m"),
+    *("covariance_x_mm_pitch_mm_per_m", "covariance_y_mm_y_mm", "covariance_y_mm_yaw_mm_per_m"),
+    *("covariance_y_mm_pitch_mm_per_m", "covariance_yaw_mm_per_m_yaw_mm_per_m"),
+    *("covariance_yaw_mm_per_m_pitch_mm_per_m", "covariance_pitch_mm_per_m_pitch_mm_per_m"),
     *("front_x_mm", "front_y_mm", "rear_x_mm", "rear_y_mm"),
 ]
 
@@ -62,6 +66,7 @@ def flat(line: dict[str, Any]) -> list[Any]:
     values[5] = " ".join(line["status"])
     for sigma in ("sigma", "sigma_random"):
         values += [line[sigma][name] for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
+    values += [line["covariance"][row][column] for row in range(4) for column in range(row, 4)]
     return values + [line[target][axis] for target in ("front", "rear") for axis in ("x_mm", "y_mm")]
 
 
