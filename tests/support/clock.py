@@ -34,6 +34,8 @@ class FakeClock:
         self._idle: set[threading.Event] = set()
         self._calls: set[asyncio.Future[Any]] = set()
         self._devices: list[DeviceThread] = []
+        self.waits_for_locating = False
+        """Whether time stands still while spots are located, by a thread that is prepared from now on."""
         self._locating: list[_Arrived] = []
         self._ended = threading.Event()
 
@@ -41,8 +43,7 @@ class FakeClock:
     def of_loop(cls, now_ns: int = 10**9) -> Self:
         """One that the timers of the running loop obey too, such as those of ``asyncio.timeout``.
 
-        Time passes only while nothing is under way in ``asyncio.to_thread``, in a device's thread, or in the
-        one that locates spots.
+        Time passes only while nothing is under way in ``asyncio.to_thread``, nor in a device's thread.
         """
         clock, loop = cls(now_ns), asyncio.get_running_loop()
         clock.watch_devices()
@@ -204,7 +205,8 @@ def _prepare_and_note(locating: Locating[Any], *arguments: Any, **named: Any) ->
     _prepare(locating, *arguments, **named)
     locating._arrived = arrived = _Arrived()  # noqa: SLF001
     for clock in _WATCHING:
-        clock._locating.append(arrived)  # noqa: SLF001
+        if clock.waits_for_locating:
+            clock._locating.append(arrived)  # noqa: SLF001
 
 
 def _locate_all_and_note(locating: Locating[Any], *arguments: Any) -> None:

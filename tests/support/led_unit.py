@@ -192,7 +192,7 @@ async def driven_led_unit(
     """
     unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
     seen, clock = _LitUnit(unit, leds), FakeClock.of_loop()
-    leds.now_ns = clock.monotonic_ns
+    leds.now_ns, clock.waits_for_locating = clock.monotonic_ns, True
     cameras = {name: _ClockedCamera(seen, name, clock) for name in CAMERAS}
     daemon = Daemon(settings, calibration, cameras, clock, lamps=leds, rehearsal=True)
     running = LedUnit(daemon, unit, leds, seen)
