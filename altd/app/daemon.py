@@ -118,7 +118,7 @@ class Daemon:
             identity,
             None if self._inclination is None else self._inclination.sense,
             rehearsal,
-            *([MachinePoints(config.machine, config.installation).finish] if config.machine else []),
+            MachinePoints(config.machine, config.installation).finish if config.machine else None,
         )
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)

@@ -38,12 +38,11 @@ def run(options: argparse.Namespace) -> int:
 def _rows() -> Iterator[dict[str, Any]]:
     """Yield every register; a number times ``scale`` is in its unit."""
     from altd.publish.modbus import checked_block
+    from altd.publish.modbus.machine_blocks import JOINT, MACHINE
     from altd.publish.modbus.registers import (
         FAR,
         FLOAT_BLOCK,
         HEADER,
-        JOINT,
-        MACHINE,
         NEAR,
         PER_UNIT,
         PLATE_BLOCK,

@@ -94,7 +94,7 @@ class Linear:
             return None
         size = len(self.gradient)
         variance = float(self.gradient @ covariance[:size, :size] @ self.gradient) + self.other_variance
-        return math.sqrt(variance) if variance >= 0.0 else None
+        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
 
 
 def correlation_of(products: FloatArray) -> FloatArray:

@@ -29,13 +29,13 @@ class Board:
         identity: Identity = Identity(),  # noqa: B008  frozen; a board without an identity is of no unit
         sense: Callable[[Mapping[str, Value]], Finding] | None = None,
         rehearsal: bool = False,
-        finish: Callable[[Measurement], Measurement] = lambda measurement: measurement,
+        finish: Callable[[Measurement], Measurement] | None = None,
     ) -> None:
         self.quantities = quantities
         """Quantities of its measurements; known before the first one."""
         self.stale_after_s = stale_after_s
         self._sense = sense
-        self._finish = finish
+        self._finish = finish or (lambda measurement: measurement)
         self.is_rehearsal = rehearsal
         """Whether numbers that are not live are valid."""
         self.identity = identity

@@ -5,21 +5,18 @@ from collections.abc import Iterable
 
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus import checked_block
+from altd.publish.modbus.machine_blocks import JOINT, MACHINE, PER_POINT, POINTS_AT_ONCE
 from altd.publish.modbus.places import FIRST_REQUEST_S, KEPT_SHARE, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.registers import (
     FAR,
     FLOAT_BLOCK,
     FLOATS,
     HEADER,
-    JOINT,
-    MACHINE,
     NEAR,
     PER_PLACE,
-    PER_POINT,
     PER_UNIT,
     PLACES_AT_ONCE,
     PLATE_BLOCK,
-    POINTS_AT_ONCE,
     SCALED_BLOCK,
     SIZE,
     TEST_BLOCK,

@@ -15,6 +15,7 @@ _MIN_READINGS = 4
 _MAX_READINGS = 10
 """Maximum number of readings from which noise is estimated: the last two seconds."""
 _SIGNIFICANT = 2.0
+"""A rate counts if it is larger than this many of its standard deviations."""
 _MIN_SAME = 3
 """Minimum number of repeated readings for a frozen sensor; fewer prove nothing, however long they take."""
 _MAX_STILL_S = 60.0

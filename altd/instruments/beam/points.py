@@ -60,7 +60,7 @@ class MachinePoints:
         own = {key for keys in self._keys for key in keys}
         values = {key: value for key, value in measurement.values.items() if key not in own}
         joint, roll = measurement.joint, self._roll(measurement)
-        if not (values and self._keys and joint and roll):
+        if not (values and self._keys and joint and roll and np.isfinite(joint.covariance).all()):
             return replace(measurement, values=values, linear={})
         numbers = [values[key].value for key in ("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m")]
         at = np.array([*numbers, math.radians(roll[0]), *self._mount])

@@ -16,7 +16,6 @@ from enum import StrEnum
 
 from altd.publish.modbus import values
 from altd.publish.modbus.values import Reading
-from altd.records.measurement import UNITS_OF_PRODUCTS
 from altd.status.unit import UnitView
 
 MAP_VERSION = 1
@@ -311,57 +310,6 @@ NEAR, FAR = _row_table(600, "near", range(1, 9)), _row_table(720, "far", range(9
 
 Values beyond the row's targets, and with other instruments, are not known.
 """
-
-
-_OF_JOINT = ("x", "y", "yaw_slope", "pitch_slope")
-
-
-def _joint_table(first: int) -> Table:
-    rows = [
-        Register(first, "joint_status", Type.U16, "", "as `status`", values.status),
-        Register(first + 2, "joint_sequence", Type.U32, "", "number of the last exposure", values.sequence),
-        *(point.register(at, Type.F32) for at, point in in_pairs(first + 4, " ".join(_OF_JOINT))),
-    ]
-    for prefix, about, is_now in (
-        ("cov", "covariance of the two values", False),
-        ("cov_now", "the same as a statement about the beam when answered", True),
-    ):
-        for row, one in enumerate(_OF_JOINT):
-            for column, other in enumerate(_OF_JOINT[row:], row):
-                at, name = rows[-1].address + 2, f"{prefix}_{one}_{other}"
-                unit = UNITS_OF_PRODUCTS[name.count("slope")]
-                reading = values.covariance(row, column, is_now)
-                rows.append(Register(at, name, Type.F32, unit, about, reading, is_now))
-    return Table(rows, first, rows[-1].address + 2 - first)
-
-
-JOINT = _joint_table(850)
-"""The line of a beam, and the covariance of its four numbers: row by row, from the diagonal on."""
-
-
-def _point_table(first: int) -> Table:
-    rows = [
-        Register(first, "points_status", Type.U16, "", "as `status`", values.status),
-        Register(first + 1, "points", Type.U16, "", "number of points", values.points),
-        Register(first + 2, "points_sequence", Type.U32, "", "number of the last exposure", values.sequence),
-    ]
-    for number in range(1, POINTS_AT_ONCE + 1):
-        for part, about in (
-            ("", "distance of the point from the beam"),
-            ("sigma_", _COMBINED),
-            ("sigma_now_", "the same as a statement about the truth when answered"),
-        ):
-            for axis in ("right", "up"):
-                at, reading = rows[-1].address + 2, values.point(number, axis, part)
-                name = f"point{number}_{part}{axis}"
-                rows.append(Register(at, name, Type.F32, "mm", about, reading, part == "sigma_now_"))
-    return Table(rows, first, rows[-1].address + 2 - first)
-
-
-POINTS_AT_ONCE, PER_POINT = 8, 12
-"""Number of points of the machine in the table, and of registers per point."""
-MACHINE = _point_table(1100)
-"""Points of the machine, in the order of the settings."""
 
 
 def image(view: UnitView, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:

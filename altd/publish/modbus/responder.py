@@ -15,10 +15,9 @@ from enum import IntEnum
 from altd import __version__
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
+from altd.publish.modbus.machine_blocks import JOINT, MACHINE
 from altd.publish.modbus.registers import (
     FAR,
-    JOINT,
-    MACHINE,
     MEASUREMENT,
     NEAR,
     RegisterImage,

@@ -198,42 +198,6 @@ def sigma_now(key: str) -> Reading:
     return sigma
 
 
-def covariance(row: int, column: int, is_now: bool) -> Reading:
-    """A covariance of two of ``Quantities.joint``; ``is_now``: about the beam at the time of reading."""
-
-    def value(view: UnitView) -> float | None:
-        measurement, age_s = view.measurement, view.age_s
-        if measurement is None or (is_now and age_s is None) or not measurement.quantities.joint:
-            return None
-        known = measurement.covariance(age_s if is_now else None)
-        return None if known is None else float(known[row, column])
-
-    return value
-
-
-_READ = {"": number, "sigma_": sigma, "sigma_now_": sigma_now}
-
-
-def points(view: UnitView) -> int:
-    """Number of points of the machine."""
-    return sum(bool(each.point) for each in view.quantities.of_unit) // 2
-
-
-def point(number: int, axis: str, part: str) -> Reading:
-    """Distance of a point of the machine, counted from 1, or its sigma, as the prefix ``part`` says."""
-
-    def value(view: UnitView) -> float | None:
-        keys = [
-            each.key for each in view.quantities.of_unit if each.point and each.key.endswith(f"_{axis}_mm")
-        ]
-        if number > len(keys):
-            return None
-        found = _READ[part](keys[number - 1])(view)
-        return found if isinstance(found, float) else None
-
-    return value
-
-
 def rate(key: str) -> Reading:
     """The rate of a quantity, per second."""
 

@@ -1,20 +1,25 @@
 """Points of the machine, against geometry in a world of its own: vectors east, north and up."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from support import measurements
+from support.clock import FakeClock
 from support.world import World
 
 from altd.config import Installation, Machine
 from altd.instruments.beam.instrument import QUANTITIES, quantities_of
 from altd.instruments.beam.points import MachinePoints
 from altd.instruments.beam.solver import Beam
-from altd.records import FloatArray, Measurement
+from altd.records import Finding, FloatArray, Measurement
 from altd.records.joint import Joint
 from altd.records.sensors import Quality, SensorValue
+from altd.status.board import Board
+from altd.status.measurement_json import as_object
+from altd.status.proof import Identity
 
 LEVERS_MM = np.array([[0.0, 0.0, 0.0], [310.0, -1250.0, 4800.0], [-900.0, 400.0, -2000.0]])
 
@@ -125,6 +130,30 @@ def test_points_go_with_the_roll_and_with_the_beam() -> None:
     assert (later.valid, later.linear, distances_of(later).size) == (True, {}, 0)
     blocked = points.finish(known.without_numbers(()))
     assert (blocked.valid, dict(blocked.linear)) == (False, {})
+
+
+def test_no_point_outlives_its_roll_on_the_board_and_none_lacks_an_uncertainty() -> None:
+    clock = FakeClock(10**9)
+    said = SensorValue(Quality.GOOD, value=1.0, sigma=0.05, t_ns=10**9, expires_ns=18 * 10**8)
+    machine = machine_of(LEVERS_MM[:1])
+    points, quantities = MachinePoints(machine, Installation()), quantities_of(Installation(), machine)
+    sensed = Finding(from_sensors={"roll_deg": said})
+    board = Board(clock, 2.0, quantities, Identity(), lambda values: sensed, True, points.finish)
+    board.publish(replace(measured((1.0, 2.0, 0.5, 0.5)), t_ns=10**9, quantities=quantities))
+    fresh = board.read()
+    assert fresh is not None
+    assert as_object(fresh)["points"]["p0"]["right_mm"] is not None
+    clock.now_ns = 19 * 10**8
+    late = board.read()
+    assert late is not None
+    nothing = {"right_mm": None, "up_mm": None}
+    assert (late.valid, as_object(late)["points"]) == (True, {"p0": {**nothing, "sigma": nothing}})
+    clock.now_ns = 4 * 10**9
+    stale = board.read()
+    assert stale is not None
+    assert (stale.valid, dict(stale.linear)) == (False, {})
+    unknown = measured((1.0, 2.0, 0.5, 0.5), np.full((4, 4), np.nan)).with_sensors({"roll_deg": said})
+    assert points.finish(unknown).linear == {}
 
 
 def test_a_machine_that_rolls_has_the_roll_of_a_second_in_sigma() -> None:

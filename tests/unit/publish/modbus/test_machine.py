@@ -7,7 +7,8 @@ from dataclasses import replace
 from altd.config import Installation, Machine
 from altd.instruments.beam.instrument import quantities_of
 from altd.instruments.beam.points import MachinePoints
-from altd.publish.modbus.registers import JOINT, MACHINE, PER_POINT, image
+from altd.publish.modbus.machine_blocks import JOINT, MACHINE, PER_POINT
+from altd.publish.modbus.registers import image
 from altd.records import Measurement
 from altd.status.measurement_json import as_object, as_object_now
 from altd.status.unit import UnitView
