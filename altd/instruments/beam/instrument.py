@@ -12,6 +12,7 @@ from altd.config import Installation, Machine, Measuring
 from altd.instruments.beam.points import quantities_of_points
 from altd.instruments.beam.refraction import Refraction
 from altd.instruments.beam.solver import (
+    KEYS,
     Beam,
     fit_beam,
     joint_covariance_mm2,
@@ -108,26 +109,25 @@ def values_of(beam: Beam) -> dict[str, Value]:
     }
 
 
-_KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 _LINE = [0, 2, 1, 3]
-"""Rows of ``line_gain`` (x, slope x, y, slope y) in the order of ``_KEYS``."""
+"""Rows of ``line_gain`` (x, slope x, y, slope y) in the order of ``KEYS``."""
 
 
 def by_line(beam: Beam, installation: Installation) -> FloatArray:
-    """Derivatives (4, 4) of the quantities of ``_KEYS`` by the line of ``beam``, which is in the unit frame.
+    """Derivatives (4, 4) of the quantities of ``KEYS`` by the line of ``beam``, which is in the unit frame.
 
     They have the signs of the installation. yaw = atan(slope), so its derivative is 1 / (1 + slope²).
     """
     yaw, pitch = (
         math.degrees(math.cos(math.radians(angle)) ** 2) for angle in (beam.yaw_deg, beam.pitch_deg)
     )
-    scale = np.array([1.0, 1.0, yaw, pitch]) * [installation.signs[key] for key in _KEYS]
+    scale = np.array([1.0, 1.0, yaw, pitch]) * [installation.signs[key] for key in KEYS]
     derivatives: FloatArray = scale[:, None] * np.eye(4)[_LINE]
     return derivatives
 
 
 def beam_motions(motion: SpotMotion, by_px: FloatArray) -> dict[str, Motion]:
-    """Motion of each quantity of ``_KEYS``.
+    """Motion of each quantity of ``KEYS``.
 
     ``by_px`` (4, 2 T) are the quantities' derivatives by the spots. The maps are taken as linear over a few
     millimetres.
@@ -145,7 +145,7 @@ def beam_motions(motion: SpotMotion, by_px: FloatArray) -> dict[str, Motion]:
             spread_s2=motion.spread_s2,
             at_s=motion.at_s,
         )
-        for row, key in enumerate(_KEYS)
+        for row, key in enumerate(KEYS)
     }
 
 
@@ -241,7 +241,7 @@ class BeamInstrument:
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
             motions,
             Joint(
-                _KEYS,
+                KEYS,
                 derivatives @ beam.line_covariance @ derivatives.T,
                 derivatives @ beam.line_scatter @ derivatives.T,
                 np.array([1.0, 1.0, *map(_mm_per_m_per_deg, (published.yaw_deg, published.pitch_deg))]),

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from altd.config import Installation, Machine
+from altd.instruments.beam.solver import KEYS
 from altd.records import FloatArray, Measurement, Quantity, Value
 from altd.records.joint import Linear
 
-_KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Steps of central differences: x and y, mm; slopes, mm/m; roll and the three angles of the mounting, rad."""
 
@@ -49,8 +49,8 @@ class MachinePoints:
         self._machine, self._plane_mm = machine, installation.reference_plane_mm
         self._levers_mm = np.array([(of.x_mm, of.y_mm, of.z_mm) for of in machine.points])
         self._lever_variance = np.array([of.sigma_mm**2 for of in machine.points])
-        self._signs = np.array([installation.signs[key] for key in _KEYS], dtype=np.float64)
-        self._offsets = np.array([getattr(installation, f"offset_{key}") for key in _KEYS])
+        self._signs = np.array([installation.signs[key] for key in KEYS], dtype=np.float64)
+        self._offsets = np.array([getattr(installation, f"offset_{key}") for key in KEYS])
         angles_deg = machine.mount_yaw_deg, machine.mount_pitch_deg, machine.mount_roll_deg
         self._mount = [math.radians(angle) for angle in angles_deg]
         self._keys = [(f"{of.name}_right_mm", f"{of.name}_up_mm") for of in machine.points]

@@ -13,6 +13,9 @@ from altd.instruments.beam.systematics import effects_mm
 from altd.records import FloatArray, Limits, MeanSpots, TargetPoint
 from altd.records.limits import NO_LIMITS
 
+KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+"""Keys of the quantities of a beam that have a sigma."""
+
 
 def _unknown() -> FloatArray:
     return np.full((4, 4), np.nan)
