@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantity, Value
 
 _LATE_S = 10.0
 """Age at which every known part of the motion contributes to sigma, s."""
+_ROUNDING = 1e-6
+"""Relative difference of two figures of the same uncertainty that rounding explains."""
 
 
 class Gate:
@@ -43,6 +47,7 @@ def _violations(measurement: Measurement, before: Measurement | None) -> Iterato
     yield from _value_violations("", quantities.of_unit, measurement.values)
     for target, values in measurement.targets.items():
         yield from _value_violations(f"{target}.", quantities.of_target, values or {})
+    yield from _joint_violations(measurement)
     yield from _motion_violations(measurement)
     if measurement.frames < 1:
         yield f"it is the mean of {measurement.frames} exposures"
@@ -51,6 +56,19 @@ def _violations(measurement: Measurement, before: Measurement | None) -> Iterato
             yield f"sequence {measurement.sequence} does not follow {before.sequence}"
         if measurement.light_ns <= before.light_ns:
             yield f"exposed {(before.light_ns - measurement.light_ns) * 1e-9:g} s before the one before it"
+
+
+def _joint_violations(measurement: Measurement) -> Iterator[str]:
+    if (joint := measurement.joint) is None:
+        return
+    sigmas = np.array([measurement.sigma(key) for key in joint.keys], dtype=np.float64)
+    for name, matrix in ("covariance", joint.covariance), ("scatter", joint.scatter):
+        if not np.isfinite(matrix).all():
+            yield f"the joint {name} is not finite"
+        elif np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0] < -_ROUNDING:
+            yield f"the joint {name} has a negative eigenvalue"
+    if not (np.abs(np.diag(joint.covariance) / sigmas**2 - 1.0) < _ROUNDING).all():
+        yield "the joint covariance is not that of the sigmas"
 
 
 def _motion_violations(measurement: Measurement) -> Iterator[str]:

@@ -1,17 +1,22 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.measurements import BEAM, measured, measurement, points_of
 
 from altd.instruments.beam.instrument import range_fault
-from altd.instruments.beam.solver import Beam
+from altd.instruments.beam.solver import KEYS, Beam
 from altd.measuring.gate import Gate
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
+from altd.records.joint import Joint
 from altd.records.spots import Motion
 
-NUMBERS = [name for name in Beam.__dataclass_fields__ if name != "sigma_random"]
+NUMBERS = [
+    name for name in Beam.__dataclass_fields__ if not name.endswith(("_random", "_covariance", "_scatter"))
+]
+SIGMAS = np.array([BEAM.sigma_x_mm, BEAM.sigma_y_mm, BEAM.sigma_yaw_deg, BEAM.sigma_pitch_deg])
 
 
 def admitted(*measurements: Measurement) -> list[str]:
@@ -35,6 +40,25 @@ def admitted(*measurements: Measurement) -> list[str]:
 def test_no_number_that_is_none_leaves(field: str, value: float) -> None:
     [said] = admitted(measured(replace(BEAM, **{field: value})))
     assert said.startswith(f"{field} is {value}")
+
+
+JOINT = Joint(KEYS, np.diag(SIGMAS**2), np.diag(SIGMAS**2) / 4, np.ones(4))
+TOO_CORRELATED = np.diag(SIGMAS**2) + 1.1 * np.outer(SIGMAS, SIGMAS) * np.eye(4)[[2, 1, 0, 3]] * [1, 0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("joint", "said"),
+    [
+        (JOINT, ""),
+        (replace(JOINT, covariance=np.full((4, 4), math.nan)), "covariance is not finite"),
+        (replace(JOINT, scatter=np.full((4, 4), math.inf)), "scatter is not finite"),
+        (replace(JOINT, covariance=TOO_CORRELATED), "covariance has a negative eigenvalue"),
+        (replace(JOINT, covariance=JOINT.covariance * 1.01), "covariance is not that of the sigmas"),
+    ],
+)
+def test_the_joint_uncertainty_is_one_of_the_sigmas(joint: Joint, said: str) -> None:
+    [found] = admitted(replace(measured(), joint=joint))
+    assert found == (said and f"the joint {said}")
 
 
 @pytest.mark.parametrize("sigma", [0.0, -0.001])
