@@ -213,7 +213,10 @@ class InclinometerRefusedError(InclinometerError):
 class InclinometerAccuracy:
     """The maker's specification: limits of error, ±, in degrees, and the temperatures at which they hold.
 
-    ``cross_axis_deg`` is the error from a tilt about the other axis, ``step_deg`` the last digit.
+    ``cross_axis_deg`` is the error from a tilt about the other axis, ``step_deg`` the last digit,
+    ``deg_per_k`` the limit of the zero's change per kelvin from the temperature of the levelling, or 20 °C.
+    Angles beyond ±``range_deg`` are not measured. Roll is the inclination of the unit's x axis
+    (``roll_is_inclination``) or a rotation about its z axis.
     """
 
     limit_deg: float
@@ -222,6 +225,9 @@ class InclinometerAccuracy:
     limit_elsewhere_deg: float
     cross_axis_deg: float
     step_deg: float
+    deg_per_k: float = 0.0
+    range_deg: float = 180.0
+    roll_is_inclination: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -301,8 +301,8 @@ class Reason(StrEnum):
         "pitch_diverges", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "the beam's pitch drifts against gravity's",
         "check whether the laser has moved or warm air crosses the beam",
-        "optical pitch and the inclinometer's diverge slowly by more than `max_divergence_deg`: refraction, "
-        "or the laser or the inclinometer has moved",
+        "the beam's inclination against gravity differs by more than `divergence_sigmas` uncertainties from "
+        "the surveyed or an earlier one: refraction, or the laser, the inclinometer or a camera has moved",
     )  # fmt: skip
 
     STUCK_OPAQUE = (

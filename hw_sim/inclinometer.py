@@ -1,17 +1,18 @@
-"""Two inclinometers on a pseudo-terminal with Modbus RTU: Balluff BSI R11A0 and WitMotion WT901C485.
+"""Inclinometers on a pseudo-terminal with Modbus RTU: Balluff BSI R11A0, WitMotion WT901C485, and a fine one.
 
 They turn with ``roll_deg`` and ``pitch_deg``, have noise and a temperature, and can simulate faults.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import select
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
 from hw_sim.plugged_port import PluggedPort
@@ -38,10 +39,11 @@ def crc(data: bytes) -> bytes:
 class Inclinometer:
     """``with Inclinometer.balluff() as sensor``: it responds on ``sensor.device``.
 
-    ``roll_deg``, ``pitch_deg``, ``temperature_c`` and ``noise_deg`` may be changed at any time, as may the
-    faults: ``answers`` (False: it is silent), ``frozen``, ``corrupts`` (every CRC is wrong), ``echoes`` (the
-    line returns sent data), ``late_s`` (delay of its responses) and ``address``. ``settings`` are its holding
-    registers.
+    ``roll_deg``, ``pitch_deg``, ``temperature_c`` and ``noise_deg`` may change at any time, as may, of the
+    fine one, the directions of its ``axes`` in the unit (right, up, along) and the drift of its zeros from
+    20 °C, ``deg_per_k``. Faults are ``answers`` (False: it is silent), ``frozen``, ``corrupts`` (every CRC is
+    wrong), ``echoes`` (the line returns sent data), ``late_s`` (delay of its responses) and ``address``.
+    ``settings`` are its holding registers.
     """
 
     def __init__(
@@ -51,6 +53,8 @@ class Inclinometer:
         self.settings = dict(settings)
         self.roll_deg = self.pitch_deg = 0.0
         self.temperature_c, self.noise_deg = 21.5, 0.02
+        self.axes: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        self.deg_per_k = 0.0
         self.answers, self.frozen, self.corrupts, self.echoes = True, False, False, False
         self.late_s = 0.0
         self.requests = 0
@@ -71,6 +75,13 @@ class Inclinometer:
     def witmotion(cls) -> Self:
         """Two axes, address 0x50, 9600 baud."""
         return cls(0x50, {0x04: 2, 0x1A: 0x50}, _witmotion)
+
+    @classmethod
+    def fine(cls) -> Self:
+        """Two axes with floats in swapped words, address 1, 19200 baud; register 100 states its type."""
+        sensor = cls(1, {100: 0x4711}, _fine)
+        sensor.noise_deg = 0.003
+        return sensor
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -151,6 +162,23 @@ def _balluff(sensor: Inclinometer) -> Registers:
         (INPUT, 17): shown >> 16 & 0xFF,
         (INPUT, 18): shown & 0xFFFF,
     }
+
+
+def _fine(sensor: Inclinometer) -> Registers:
+    """Input registers 0 and 2, roll and pitch as inclinations of the axes; 4, temperature in 0.01 °C.
+
+    The unit pitches about the horizontal first, then rolls about its own axis, clockwise.
+    """
+    roll, pitch = math.radians(sensor.roll_deg), math.radians(sensor.pitch_deg)
+    up = (-math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch), math.sin(pitch))
+    registers = {(INPUT, 4): round(sensor.temperature_c * 100 + sensor.random.gauss(0.0, 2.0)) & 0xFFFF}
+    drift_deg = sensor.deg_per_k * (sensor.temperature_c - 20.0)
+    for first, sign, axis in ((0, -1.0, sensor.axes[0]), (2, 1.0, sensor.axes[1])):
+        sine = sum(one * other for one, other in zip(axis, up, strict=True)) / math.hypot(*axis)
+        angle_deg = sensor.angle_deg(sign * math.degrees(math.asin(sine)) + drift_deg)
+        high, low = struct.unpack(">HH", struct.pack(">f", angle_deg))
+        registers |= {(INPUT, first): low, (INPUT, first + 1): high}
+    return registers
 
 
 def _witmotion(sensor: Inclinometer) -> Registers:

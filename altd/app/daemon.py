@@ -15,7 +15,7 @@ from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_pairs import FramePairs, Marks
 from altd.acquisition.glasses import glass_cycle
-from altd.acquisition.inclination.monitor import InclinationMonitor
+from altd.acquisition.inclination.monitor import InclinationMonitor, stated_inclination
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.lamps.controller import FrameLamps, LampController
 from altd.acquisition.lamps.indicators import IndicatorPanel
@@ -32,6 +32,7 @@ from altd.app.diagnostics import diagnostic_parts
 from altd.app.instruments import live_instrument, views_of
 from altd.app.interfaces import Interfaces, interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
+from altd.app.level import load_level
 from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import (
     AnyCalibration,
@@ -110,7 +111,11 @@ class Daemon:
         self._state_folder: Path | None = None
         if (of := config.inclinometer) is not None:
             component, place = self.health.component("inclinometer"), config.installation
-            self._inclination = InclinationMonitor(of.inclinometer(), of, place, component, self.clock)
+            alignment = None if of.level is None else load_level(of.level, of, config.unit.serial)
+            stated = stated_inclination(config.machine)
+            self._inclination = InclinationMonitor(
+                of.inclinometer(), of, place, component, self.clock, alignment, stated
+            )
         self.board = Board(
             self.clock,
             instrument.stale_after_s,

@@ -25,6 +25,7 @@ from altd.cli import (
     fleet,
     ingest,
     lamps,
+    level,
     locate,
     map,  # noqa: A004  the command's name
     password,
@@ -64,6 +65,7 @@ COMMANDS: dict[str, Command] = {
     "record": record,
     "scan": scan,
     "lamps": lamps,
+    "level": level,
     "locate": locate,
     "map": map,
     "selfcheck": selfcheck,

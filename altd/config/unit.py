@@ -189,6 +189,9 @@ class Machine(Table):
     """Standard uncertainty of ``roll_deg``, degrees; needed with it."""
     beam_inclination_mm_per_m: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
     """Inclination of the beam, mm/m, positive if it rises: the direction of the vertical depends on it."""
+    beam_inclination_sigma_mm_per_m: Annotated[float, Field(gt=0, le=100)] | None = None
+    """Standard uncertainty of it as surveyed, mm/m: with an inclinometer of two axes, the beam is compared
+    with it (`inclinometer.md`); none: with its mean over the first ten minutes."""
     mount_yaw_deg: OffsetDegrees = 0.0
     """Direction of the unit's axis in the machine, degrees: to the right."""
     mount_pitch_deg: OffsetDegrees = 0.0

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from altd.ports import Clock
 from altd.reasons import NOT_FROM_CAMERAS, Reason
-from altd.records import Fault, Finding, Measurement, Quantities, Value
+from altd.records import Fault, Finding, Measurement, Quantities
 from altd.status.proof import Identity
 
 _REHEARSAL = Finding((Fault(Reason.REHEARSAL),))
@@ -16,9 +16,9 @@ _REHEARSAL = Finding((Fault(Reason.REHEARSAL),))
 class Board:
     """Holds the latest measurement; each waiting reader has its own cursor, which counts skipped ones.
 
-    ``sense`` returns the present values of other sensors, and what they show together with the values of a
-    measurement; ``finish`` adds what follows from both. Without ``rehearsal``, a measurement loses its
-    numbers if its frames are played or simulated, or its calibration was made from simulated frames.
+    ``sense`` returns the present values of other sensors, and what they show together with a measurement;
+    ``finish`` adds what follows from both. Without ``rehearsal``, a measurement loses its numbers if its
+    frames are played or simulated, or its calibration was made from simulated frames.
     """
 
     def __init__(  # noqa: PLR0913  what a measurement is finished by
@@ -27,7 +27,7 @@ class Board:
         stale_after_s: float,
         quantities: Quantities,
         identity: Identity = Identity(),  # noqa: B008  frozen; a board without an identity is of no unit
-        sense: Callable[[Mapping[str, Value]], Finding] | None = None,
+        sense: Callable[[Measurement], Finding] | None = None,
         rehearsal: bool = False,
         finish: Callable[[Measurement], Measurement] | None = None,
     ) -> None:
@@ -58,8 +58,7 @@ class Board:
 
     def publish(self, measurement: Measurement, geometry: Finding | None = None) -> Measurement:
         """Finish a measurement, publish it and wake all waiting readers; returns it as published."""
-        values = {} if geometry and geometry.withdraws else measurement.values
-        sensed = self._sense(values) if self._sense else None
+        sensed = self._sense(measurement.with_findings(geometry)) if self._sense else None
         published = self._finish(measurement.with_findings(geometry, sensed, self._origin(measurement)))
         self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()

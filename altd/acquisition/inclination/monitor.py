@@ -3,20 +3,21 @@
 A failing sensor affects nothing else: its calls block in a separate thread, and a measurement gets the last
 reading without waiting.
 
-The beam's pitch in the unit and the unit's pitch against gravity add up to the beam's own inclination, which
-stays constant while the machine moves. ``PitchDivergence`` compares it with an earlier mean: refraction or a
-moved laser changes it slowly.
+The beam in the unit and the unit against gravity give the beam's own inclination, which stays constant while
+the machine moves. ``Witness`` compares it with the surveyed one or an earlier mean: refraction, a moved
+laser, or a wrong pitch changes it.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
+from altd.acquisition.inclination.alignment import Alignment
 from altd.acquisition.inclination.judging import InclinationJudge
-from altd.config import InclinometerSettings, Installation
+from altd.acquisition.inclination.witness import Witness, inclination
+from altd.config import InclinometerSettings, Installation, Machine
 from altd.ports import (
     Clock,
     Inclinometer,
@@ -26,52 +27,11 @@ from altd.ports import (
     InclinometerTimeoutError,
 )
 from altd.reasons import Reason
-from altd.records import Fault, Finding, Value
+from altd.records import Fault, Finding, Measurement, Value
 from altd.records.sensors import Quality, SensorValue
 from altd.runtime.supervision import Limits, Works, keep_device
 from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
-
-MEAN_S = 600.0
-"""Averaging time of the reference and of the current inclination: shorter changes are vibration."""
-MAX_GAP_S = 600.0
-"""Maximum gap between two samples; after a longer one, perhaps with another laser, the reference is new."""
-INTERVAL_S = 1.0
-"""Minimum time between two samples; more samples add no information."""
-
-
-class PitchDivergence:
-    """Change of the beam's inclination relative to its mean over the first ten minutes."""
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-        self._begin_ns = 0
-        self._reference_deg = self._now_deg = 0.0
-        self._samples = 0
-
-    def add(self, t_ns: int, inclination_deg: float) -> None:
-        """Add a sample of the beam's inclination against gravity."""
-        since_s = math.inf if self._last_ns is None else (t_ns - self._last_ns) * 1e-9
-        if since_s < INTERVAL_S:
-            return
-        self._last_ns = t_ns
-        if since_s > MAX_GAP_S:
-            self._begin_ns, self._samples = t_ns, 0
-        if (t_ns - self._begin_ns) * 1e-9 < MEAN_S:
-            self._samples += 1
-            self._reference_deg += (inclination_deg - self._reference_deg) / self._samples
-            self._now_deg = self._reference_deg
-        else:
-            self._now_deg += (1.0 - math.exp(-since_s / MEAN_S)) * (inclination_deg - self._now_deg)
-
-    def divergence_deg(self, now_ns: int) -> float | None:
-        """Return the current inclination minus the reference; None: not known yet, or too old."""
-        if self._last_ns is None or (self._last_ns - self._begin_ns) * 1e-9 < MEAN_S:
-            return None
-        if (now_ns - self._last_ns) * 1e-9 > MAX_GAP_S:
-            return None
-        return self._now_deg - self._reference_deg
-
 
 log = logging.getLogger("altd")
 
@@ -87,49 +47,74 @@ _MAX_FAILURES = 3
 """Number of consecutive failures after which the port is reopened."""
 
 
+def stated_inclination(machine: Machine | None) -> Value | None:
+    """Return the beam's surveyed inclination, degrees; None: it is not stated with its uncertainty."""
+    if machine is None or machine.beam_inclination_sigma_mm_per_m is None:
+        return None
+    slope = machine.beam_inclination_mm_per_m / 1000.0
+    per_slope_deg = math.degrees(1.0) / (1.0 + slope**2)
+    return Value(
+        math.degrees(math.atan(slope)), machine.beam_inclination_sigma_mm_per_m / 1000.0 * per_slope_deg
+    )
+
+
 class InclinationMonitor:
     """Reads one inclinometer. ``sense`` returns its roll for a measurement.
 
-    ``installation`` converted the beam's pitch for the controller; the comparison of pitch reverts that.
+    ``installation`` converted the beam's direction for the controller; the comparison with gravity reverts
+    that. ``alignment`` is from ``altd level``, ``stated`` the beam's surveyed inclination, degrees.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  a device, its settings, and what is known of the installation
         self,
         driver: Inclinometer,
         settings: InclinometerSettings,
         installation: Installation,
         component: Component,
         clock: Clock,
+        alignment: Alignment | None = None,
+        stated: Value | None = None,
     ) -> None:
         self._driver = driver
         self._settings = settings
         self._installation = installation
         self._component = component
         self._clock = clock
-        self._judge = InclinationJudge(settings, driver.accuracy)
+        self._judge = InclinationJudge(settings, driver.accuracy, alignment)
         self._latest = SensorValue(Quality.STARTING, "the inclinometer has not been read yet")
         self._failure: SensorValue | None = None
         """The failure since the last reading; None: the last call succeeded."""
         self._logged: Quality | None = None
-        self._divergence = PitchDivergence()
-        self._gravity_pitch_deg: float | None = None
-        """Pitch against gravity of the newest reading; None: it is not credible or has no pitch."""
+        self._witness = Witness(stated)
 
-    def sense(self, values: Mapping[str, Value]) -> Finding:
-        """Return the current roll, and whether ``values`` of a valid measurement diverge from gravity."""
+    def sense(self, measurement: Measurement) -> Finding:
+        """Return the roll of a measurement, and whether its beam diverges from gravity.
+
+        Roll is the mean over the time of its exposures, or the newest reading.
+        """
         now_ns = self._clock.monotonic_ns()
         said, faults = self._latest.at(now_ns), list[Fault]()
         if said.value is not None:
+            if measurement.valid and self._judge.credible:
+                begin_ns, end_ns = 2 * measurement.t_ns - measurement.light_ns, measurement.light_ns
+                said = self._judge.mean(said, begin_ns, end_ns)
+                self._compare(measurement, said, self._judge.mean_pitch_deg(begin_ns, end_ns))
             said = replace(said, age_s=(now_ns - said.t_ns) * 1e-9)
-            if self._gravity_pitch_deg is not None and "pitch_deg" in values:
-                self._compare_pitch(values["pitch_deg"].value, self._gravity_pitch_deg, now_ns)
         else:
             said = self._failure or said
             faults.append(Fault(Reason.ROLL_MISSING, detail=said.detail))
-        divergence_deg = self._divergence.divergence_deg(now_ns)
-        if divergence_deg is not None and abs(divergence_deg) > self._settings.max_divergence_deg:
-            detail = f"the beam's inclination against gravity has changed by {divergence_deg:+.2f} deg"
+        away = self._witness.difference(now_ns)
+        is_away = away is not None and abs(away.value) > self._settings.divergence_sigmas * (
+            away.sigma or 0.0
+        )
+        if away is not None and is_away:
+            detail = (
+                f"the beam's inclination is off by {away.value:+.3f} deg, its uncertainty {away.sigma:.3f}"
+            )
             faults.append(Fault(Reason.PITCH_DIVERGES, detail=detail))
+            if self._settings.divergence == "invalid" and measurement.valid:
+                faults.insert(0, Fault(Reason.IMPLAUSIBLE, detail=detail))
+                return Finding(tuple(faults), withdraws=True, from_sensors={ROLL: said})
         return Finding(tuple(faults), from_sensors={ROLL: said})
 
     async def run(self) -> None:
@@ -157,16 +142,23 @@ class InclinationMonitor:
             due_ns = max(due_ns + round(self._settings.interval_s * 1e9), now_ns)
             await self._clock.sleep((due_ns - now_ns) * 1e-9)
 
-    def _compare_pitch(self, pitch_deg: float, gravity_pitch_deg: float, now_ns: int) -> None:
-        """Add a sample of the beam's inclination: its pitch in the unit plus the unit's against gravity."""
-        optical_deg = self._installation.sign_pitch * (pitch_deg - self._installation.offset_pitch_deg)
-        self._divergence.add(now_ns, optical_deg + gravity_pitch_deg)
+    def _compare(self, measurement: Measurement, roll: SensorValue, gravity_deg: float) -> None:
+        """Add the beam's inclination of a measurement to the comparison; nothing with one axis."""
+        newest, pitch = self._judge.credible[-1], measurement.known("pitch_deg")
+        yaw_deg = measurement.number("yaw_deg")
+        if not newest.has_pitch or pitch is None or yaw_deg is None or roll.value is None:
+            return
+        of, place = newest.tilt, self._installation
+        slopes = (
+            math.tan(math.radians(place.sign_yaw * (yaw_deg - place.offset_yaw_deg))),
+            math.tan(math.radians(place.sign_pitch * (pitch.value - place.offset_pitch_deg))),
+        )
+        unit = Value(roll.value, of.sigma_roll_deg), Value(gravity_deg, of.sigma_pitch_deg)
+        self._witness.add(inclination(self._clock.monotonic_ns(), slopes, pitch, unit, newest.sensor_deg))
 
     def _take(self, reading: InclinometerReading) -> None:
         said = self._judge.roll(reading)
         self._latest, self._failure = said, None
-        pitch_deg = self._judge.gravity_pitch_deg(reading)
-        self._gravity_pitch_deg = None if said.value is None else pitch_deg
         self._component.count("readings")
         figures = {
             "roll_deg": _rounded(said.value, 3),
@@ -175,10 +167,11 @@ class InclinationMonitor:
             "temperature_c": round(reading.temperature_c, 1),
             "longest_still_s": round(self._judge.longest_still_s, 1),
         }
-        if pitch_deg is not None:
-            divergence_deg = self._divergence.divergence_deg(self._clock.monotonic_ns())
-            figures["gravity_pitch_deg"] = round(pitch_deg, 3)
-            figures["pitch_divergence_deg"] = _rounded(divergence_deg, 3)
+        if reading.pitch_deg is not None and self._judge.credible:
+            away = self._witness.difference(self._clock.monotonic_ns())
+            figures["gravity_pitch_deg"] = round(self._judge.credible[-1].tilt.pitch_deg, 3)
+            figures["pitch_divergence_deg"] = _rounded(None if away is None else away.value, 4)
+            figures["pitch_divergence_sigma_deg"] = _rounded(None if away is None else away.sigma, 4)
         self._component.observe(figures)
         self._report(said)
 

@@ -13,9 +13,10 @@ import os
 import termios
 import time
 from collections.abc import Iterable
+from itertools import islice
 
 from altd.devices.inclinometer import InclinometerSettings
-from altd.devices.inclinometer.registers import SENSORS, Meaning, Question, Register
+from altd.devices.inclinometer.registers import Meaning, Question, Register, Sensor
 from altd.ports import (
     InclinometerAccuracy,
     InclinometerNotFoundError,
@@ -32,6 +33,8 @@ _ANSWER_TIMEOUT_S = 0.2
 180 ms."""
 _GAP_TIMEOUT_S = 0.03
 """Maximum gap within a response: longer than USB adapters hold bytes back (16 ms)."""
+_LEAST_VALUE, _MAX_VALUE = 1e-9, 360.0
+"""Limits of an angle or temperature but 0: others are other numbers, such as with swapped words."""
 _BITS_PER_CHARACTER = 11
 _MAX_BYTES = 300
 """Maximum number of bytes received, more than any response has: a sender of more, or for longer, does not
@@ -108,9 +111,9 @@ from the angle to the temperature, counts as noise (``altd.acquisition.inclinati
 class ModbusInclinometer:
     """See ``altd.ports.Inclinometer``."""
 
-    def __init__(self, settings: InclinometerSettings) -> None:
+    def __init__(self, settings: InclinometerSettings, sensor: Sensor) -> None:
         self._settings = settings
-        self._sensor = SENSORS[settings.driver]
+        self._sensor = sensor
         self._address = settings.address or self._sensor.address
         self._baud = settings.baud or self._sensor.baud
         self._latency_s = self._sensor.sampling_s
@@ -148,20 +151,24 @@ class ModbusInclinometer:
         t_ns = time.monotonic_ns() - round(self._latency_s * 1e9)
         rows = list(self._read(self._sensor.blocks(settings=False)))
         values: dict[Meaning, float] = {}
-        for row, word in rows:
-            if row.meaning is Meaning.ROLL and word == self._sensor.invalid_word:
-                text = f"register {row.address} says {word}: a setting of the sensor is invalid"
+        for row, raw in rows:
+            if row.meaning is Meaning.ROLL and raw == self._sensor.invalid_word:
+                text = f"register {row.address} says {raw}: a setting of the sensor is invalid"
                 raise InclinometerRefusedError(f"{text} (its registers 132 to 136)")
-            if row.largest is not None and word > row.largest:
-                raise InclinometerWrongError(f"register {row.address} ({row.about}) says {word}")
-            values[row.meaning] = row.value(word)
+            if row.largest is not None and raw > row.largest:
+                raise InclinometerWrongError(f"register {row.address} ({row.about}) says {raw}")
+            value = row.value(raw)
+            is_possible = value == 0.0 or _LEAST_VALUE <= abs(value) <= _MAX_VALUE  # NaN is not
+            if not (row.meaning is Meaning.LIVE or is_possible):
+                raise InclinometerWrongError(f"register {row.address} ({row.about}) says {value:g}")
+            values[row.meaning] = value
         pitch_deg = values.get(Meaning.PITCH)
         return InclinometerReading(
             t_ns,
             within_half_turn(values[Meaning.ROLL]),
             None if pitch_deg is None else within_half_turn(pitch_deg),
             values[Meaning.TEMPERATURE],
-            tuple(word for _, word in rows),
+            tuple(raw for _, raw in rows),
         )
 
     def close(self) -> None:
@@ -172,38 +179,42 @@ class ModbusInclinometer:
 
     def _read(self, blocks: Iterable[tuple[Register, ...]]) -> Iterable[tuple[Register, int]]:
         for block in blocks:
-            yield from zip(block, self._ask(block), strict=True)
+            words = iter(self._ask(block))
+            for row in block:
+                yield row, row.kind.raw(list(islice(words, row.kind.registers)))
 
     def _ask(self, block: tuple[Register, ...]) -> list[int]:
         if self._line is None:
             raise InclinometerNotFoundError("the inclinometer is not open")
         self._is_in_step = False
-        words = self._line.ask(block[0].function, block[0].address, len(block))
+        count = sum(row.kind.registers for row in block)
+        words = self._line.ask(block[0].function, block[0].address, count)
         self._is_in_step = True
         return words
 
     def _identify(self) -> None:
         """Check that it is this sensor, and that no earlier response is pending."""
-        for row, word in self._read(self._sensor.blocks(settings=True)):
-            self._check(row, word)
+        for row, raw in self._read(self._sensor.blocks(settings=True)):
+            self._check(row, raw)
         self._unchecked = 0
 
-    def _check(self, row: Register, word: int) -> None:
+    def _check(self, row: Register, raw: int) -> None:
         """Check a setting of the sensor against its required value; raises InclinometerWrongError."""
         must_be = {
             Meaning.ADDRESS: self._address,
             Meaning.BAUD: self._sensor.code_of_baud(self._baud),
             Meaning.ZERO: 0,
-        }.get(row.meaning, word)
-        if word != must_be:
+            Meaning.IDENTITY: row.must_be,
+        }.get(row.meaning, raw)
+        if raw != must_be:
             raise InclinometerWrongError(
-                f"register {row.address} ({row.about}) is {word} and must be {must_be}: "
+                f"register {row.address} ({row.about}) is {raw} and must be {must_be}: "
                 "another sensor, or one that is set up otherwise"
             )
         if row.meaning is Meaning.AVERAGE:
-            self._latency_s = self._sensor.sampling_s * (word + 1) / 2
+            self._latency_s = self._sensor.sampling_s * (raw + 1) / 2
             if self._latency_s + self._settings.interval_s > self._settings.max_age_s:
                 raise InclinometerWrongError(
-                    f"register {row.address} ({row.about}) is {word}: its values are {self._latency_s:.1f} s "
+                    f"register {row.address} ({row.about}) is {raw}: its values are {self._latency_s:.1f} s "
                     f"old, more than max_age_s = {self._settings.max_age_s:g} allows"
                 )

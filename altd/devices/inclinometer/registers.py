@@ -29,14 +29,36 @@ HOLDING, INPUT = 3, 4
 
 
 class Kind(StrEnum):
-    """Number format of a register's sixteen bits."""
+    """Number format of one or two registers, the high word first unless it ends in ``_swapped``."""
 
     U16 = "u16"
     S16 = "s16"
+    U32 = "u32"
+    S32 = "s32"
+    F32 = "f32"
+    U32_SWAPPED = "u32_swapped"
+    S32_SWAPPED = "s32_swapped"
+    F32_SWAPPED = "f32_swapped"
 
-    def number(self, word: int) -> int:
-        """Number that a register holds, two's complement where it is signed."""
-        return word - 0x10000 if self is Kind.S16 and word & 0x8000 else word
+    @property
+    def registers(self) -> int:
+        """Number of registers."""
+        return 1 if self in (Kind.U16, Kind.S16) else 2
+
+    def raw(self, words: Sequence[int]) -> int:
+        """All bits of the registers as one number without a sign."""
+        raw = 0
+        for word in reversed(words) if self.endswith("_swapped") else words:
+            raw = raw << 16 | word
+        return raw
+
+    def number(self, raw: int) -> float:
+        """Number of these bits: two's complement where it is signed, IEEE 754 where it is a float."""
+        if self in (Kind.F32, Kind.F32_SWAPPED):
+            (number,) = struct.unpack(">f", struct.pack(">I", raw))
+            return float(number)
+        bits = 16 * self.registers
+        return raw - (1 << bits) if self.startswith("s") and raw >> (bits - 1) else raw
 
 
 class Meaning(StrEnum):
@@ -53,15 +75,17 @@ class Meaning(StrEnum):
     """Number of its own readings that the sensor averages."""
     ZERO = "zero"
     """Setting of the sensor that would change the angle and therefore must be 0."""
+    IDENTITY = "identity"
+    """Constant by which the sensor is recognised, such as its type."""
 
 
-SETTINGS = frozenset({Meaning.ADDRESS, Meaning.BAUD, Meaning.AVERAGE, Meaning.ZERO})
+SETTINGS = frozenset({Meaning.ADDRESS, Meaning.BAUD, Meaning.AVERAGE, Meaning.ZERO, Meaning.IDENTITY})
 """Settings, read on opening and when the sensor is checked again; the others are read each time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A row: address and meaning of a number; a count is ``scale`` of the unit (°, °C)."""
+    """A row: first address and meaning of a number; a count is ``scale`` of the unit (°, °C)."""
 
     address: int
     function: int
@@ -70,11 +94,13 @@ class Register:
     meaning: Meaning
     about: str
     largest: int | None = None
-    """Maximum valid word of this register; None: no limit."""
+    """Maximum valid bits of this number; None: no limit."""
+    must_be: int | None = None
+    """Required bits of an ``IDENTITY``."""
 
-    def value(self, word: int) -> float:
-        """Value of a word of this register, in its unit."""
-        return self.kind.number(word) * self.scale
+    def value(self, raw: int) -> float:
+        """Value of the bits of this number, in its unit."""
+        return self.kind.number(raw) * self.scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +117,8 @@ class Sensor:
     baud: int
     sampling_s: float
     accuracy: InclinometerAccuracy
-    code_of_baud: Callable[[int], int | None]
     registers: tuple[Register, ...]
+    code_of_baud: Callable[[int], int | None] = lambda _: None
     invalid_word: int | None = None
 
     def blocks(self, *, settings: bool) -> list[tuple[Register, ...]]:
@@ -105,7 +131,7 @@ def _blocks(rows: Sequence[Register]) -> list[tuple[Register, ...]]:
     """Group consecutive rows without a gap into one block: the contents of a gap are unknown."""
     blocks = [[rows[0]]]
     for before, row in pairwise(rows):
-        if (row.function, row.address) == (before.function, before.address + 1):
+        if (row.function, row.address) == (before.function, before.address + before.kind.registers):
             blocks[-1].append(row)
         else:
             blocks.append([row])

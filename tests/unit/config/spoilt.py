@@ -2,6 +2,18 @@
 
 from .whole_config import BASE
 
+_ROLL = '{ use = "roll", address = 0, type = "s32", scale = 0.001 }'
+_SENSOR = f"""sensor = {{ name = "X", limit_deg = 0.01, from_c = -20, to_c = 60, limit_elsewhere_deg = 0.05, \
+deg_per_k = 0.0005, range_deg = 30, roll_is = "inclination", registers = [{_ROLL}, \
+{{ use = "temperature", address = 4, scale = 0.01 }}, \
+{{ use = "identity", address = 9, must_be = 3 }}] }}"""
+
+
+def _sensor(old: str, new: str) -> str:
+    """A data sheet with one fault."""
+    return _SENSOR.replace(old, new) if old != "«" else _SENSOR.replace(_ROLL, f"{_ROLL}, {_ROLL}")
+
+
 TABLE = r"""
 [unit]
 serial = «4711                       # 4711 is not text
@@ -179,8 +191,12 @@ sign_roll = «true                    # true is not a number; possible: -1 or 1
 sign_pitch = «"-"                    # "-" is not possible; possible: -1 or 1
 offset_roll_deg = «181               # 181 is too large; possible: number from -180 to 180
 offset_pitch_deg = «-181.0           # -181.0 is too small
-max_divergence_deg = «0              # 0 is too small; possible: number above 0 to 10
-max_divergence_deg = «12             # 12 is too large
+divergence_sigmas = «0.5             # 0.5 is too small; possible: number from 1 to 10
+divergence = «"error"                # possible: "invalid" or "warning"
+offset_sigma_deg = «-0.1             # -0.1 is too small; possible: number from 0 to 10
+level = «3                           # 3 is not a path
+sensor = «3                          # 3 is not a table
+driver = «"modbus"                   # "modbus" needs the table [inclinometer.sensor]
 «max_rol_deg = 3                     # did you mean `
 -device                              # this key is missing; possible: path
 [thermometers.0]
@@ -301,6 +317,22 @@ OTHERS: tuple[tuple[str, str, str, str], ...] = (
         "«[inclinometer]\n",
         "inclinometer.driver",
         'this key is missing; possible: "balluff_bsi_r11a0" or',
+    ),
+    *(
+        (
+            '[inclinometer]\ndriver = "balluff_bsi_r11a0"\n',
+            f'[inclinometer]\ndriver = "modbus"\n{_sensor(old, new)}\n',
+            f"inclinometer.sensor.{key}",
+            words,
+        )
+        for old, new, key, words in (
+            ("to_c = 60", "to_c = «-30", "to_c", "-30 is not above from_c = -20"),
+            ('"identity"', '«"serial"', "registers.2.use", '"serial" is not possible'),
+            (", must_be = 3", "", "registers.2.must_be", 'belongs to use = "identity"'),
+            ("scale = 0.01", "scale = «0.0", "registers.1.scale", "0 would make every angle 0"),
+            ("«", "", "registers", '2 with use = "roll"; possible: 1'),
+            ('"s32"', '«"s64"', "registers.0.type", '"s64" is not possible; possible: "u16" or'),
+        )
     ),
     (
         'socket = "/run/altd/altd.sock"',

@@ -1,5 +1,6 @@
 """The inclinometer's driver against simulated sensors on a pseudo-terminal and bytes made by hand."""
 
+import math
 import struct
 import subprocess
 import time
@@ -8,7 +9,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 from support.foreign import need_program
-from support.inclinometer import answering, settings
+from support.inclinometer import FINE, answering, settings
 from support.modbus_rtu_wire import frame
 
 from altd.devices.inclinometer.driver import ModbusInclinometer
@@ -17,6 +18,7 @@ from altd.ports import (
     InclinometerDisturbedError,
     InclinometerError,
     InclinometerNotFoundError,
+    InclinometerReading,
     InclinometerRefusedError,
     InclinometerTimeoutError,
     InclinometerWrongError,
@@ -47,7 +49,7 @@ def wait(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 @contextmanager
 def opened(driver: str = "balluff_bsi_r11a0") -> Iterator[tuple[Inclinometer, ModbusInclinometer]]:
     with DRIVERS[driver]() as sensor:
-        inclinometer = ModbusInclinometer(settings(sensor.device, driver))
+        inclinometer = settings(sensor.device, driver).inclinometer()
         try:
             inclinometer.open()
             yield sensor, inclinometer
@@ -76,10 +78,22 @@ class TestTables:
 
     @pytest.mark.parametrize(
         ("kind", "word", "number"),
-        [(Kind.U16, 0xFFFF, 65535), (Kind.S16, 0xFFFF, -1), (Kind.S16, 0x7FFF, 32767)],
+        [
+            *((Kind.U16, 0xFFFF, 65535), (Kind.S16, 0xFFFF, -1), (Kind.S16, 0x7FFF, 32767)),
+            *(
+                (Kind.S32, 0xFFFFFFFE, -2),
+                (Kind.U32, 0xFFFFFFFE, 0xFFFFFFFE),
+                (Kind.F32, 0xC0490FDB, -math.pi),
+            ),
+        ],
     )
-    def test_signed_registers_are_twos_complement(self, kind: Kind, word: int, number: int) -> None:
-        assert kind.number(word) == number
+    def test_registers_hold_numbers(self, kind: Kind, word: int, number: float) -> None:
+        assert kind.number(word) == pytest.approx(number, rel=1e-7)
+
+    def test_the_low_word_is_first_where_words_are_swapped(self) -> None:
+        assert Kind.U32.raw([0x1234, 0x5678]) == 0x12345678
+        assert Kind.F32_SWAPPED.raw([0x5678, 0x1234]) == 0x12345678
+        assert Kind.S16.raw([0xFFFF]) == 0xFFFF
 
     @pytest.mark.parametrize(
         ("angle", "within"), [(0, 0), (359.99, -0.01), (180, -180), (-180, -180), (190, -170), (36.5, 36.5)]
@@ -112,7 +126,7 @@ def by_hand(answers: dict[str, str]) -> Callable[[bytes], bytes]:
 class TestBytes:
     def test_of_the_balluff_are_angle_and_temperature(self) -> None:
         with answering(by_hand(BALLUFF_ANSWERS)) as wire:
-            inclinometer = ModbusInclinometer(settings(wire.device))
+            inclinometer = settings(wire.device).inclinometer()
             inclinometer.open()
             reading = inclinometer.read()
             inclinometer.close()
@@ -123,7 +137,7 @@ class TestBytes:
 
     def test_of_the_witmotion_are_roll_and_pitch(self) -> None:
         with answering(by_hand(WITMOTION_ANSWERS)) as wire:
-            inclinometer = ModbusInclinometer(settings(wire.device, "witmotion_wt901c485"))
+            inclinometer = settings(wire.device, "witmotion_wt901c485").inclinometer()
             inclinometer.open()
             reading = inclinometer.read()
             inclinometer.close()
@@ -147,14 +161,14 @@ class TestBytes:
         self, asked: str, answer: str, complaint: str
     ) -> None:
         with answering(by_hand(BALLUFF_ANSWERS | {asked: answer})) as wire:
-            inclinometer = ModbusInclinometer(settings(wire.device))
+            inclinometer = settings(wire.device).inclinometer()
             with closing(inclinometer), pytest.raises(InclinometerWrongError, match=complaint):
                 _open_and_read(inclinometer)
 
     def test_an_invalid_setting_is_no_angle(self) -> None:
         answers = BALLUFF_ANSWERS | {"0104 0000 0001": "0104 02 d903"}
         with answering(by_hand(answers)) as wire:
-            inclinometer = ModbusInclinometer(settings(wire.device))
+            inclinometer = settings(wire.device).inclinometer()
             inclinometer.open()
             with pytest.raises(InclinometerRefusedError, match="register 0 says 55555"):
                 inclinometer.read()
@@ -180,12 +194,12 @@ class TestBytes:
         good = by_hand(BALLUFF_ANSWERS)
         raises = pytest.raises(InclinometerDisturbedError, match=complaint)
         with answering(lambda request: spoilt(good(request))) as wire, raises:
-            ModbusInclinometer(settings(wire.device)).open()
+            settings(wire.device).inclinometer().open()
 
     def test_a_two_wire_adapter_that_hears_itself_does_no_harm(self) -> None:
         good = by_hand(BALLUFF_ANSWERS)
         with answering(lambda request: request + good(request)) as wire:
-            inclinometer = ModbusInclinometer(settings(wire.device))
+            inclinometer = settings(wire.device).inclinometer()
             inclinometer.open()
             assert inclinometer.read().roll_deg == pytest.approx(-0.09)
             inclinometer.close()
@@ -219,19 +233,19 @@ class TestSensor:
         with Inclinometer.balluff() as sensor:
             sensor.address = 2
             with pytest.raises(InclinometerTimeoutError, match="no answer: address 1 on"):
-                ModbusInclinometer(settings(sensor.device)).open()
+                settings(sensor.device).inclinometer().open()
 
     def test_of_the_other_make_is_found_out(self) -> None:
         raises = pytest.raises(InclinometerWrongError, match="another sensor")
         with Inclinometer.witmotion() as sensor, raises:
-            ModbusInclinometer(settings(sensor.device, address=0x50, baud=9600)).open()
+            settings(sensor.device, address=0x50, baud=9600).inclinometer().open()
 
     def test_on_a_line_that_only_echoes_is_said_to_be_missing(self, wait: Callable[[float], None]) -> None:
         wait(1.0)
         with Inclinometer.balluff() as sensor:
             sensor.echoes, sensor.answers = True, False
             with pytest.raises(InclinometerTimeoutError, match="echoes the requests, and no sensor"):
-                ModbusInclinometer(settings(sensor.device)).open()
+                settings(sensor.device).inclinometer().open()
 
     def test_with_damaged_answers_is_said_to_have_them(self) -> None:
         with opened() as (sensor, inclinometer):
@@ -293,3 +307,48 @@ def test_the_simulated_balluff_says_55555_where_a_setting_is_none() -> None:
     answer = sensor.response(struct.pack(">BHH", INPUT, 0, 1))
     sensor.unplug()
     assert answer == struct.pack(">BBH", INPUT, 2, 55555)
+
+
+class TestDescribedSensor:
+    @pytest.fixture
+    def fine(self) -> Iterator[Inclinometer]:
+        with Inclinometer.fine() as sensor:
+            sensor.noise_deg, sensor.roll_deg, sensor.pitch_deg = 0.0, 3.25, -7.5
+            yield sensor
+
+    def read(self, sensor: Inclinometer, times: int = 1, **of_sheet: object) -> InclinometerReading:
+        inclinometer = settings(sensor.device, "modbus", sensor=FINE | of_sheet).inclinometer()
+        with closing(inclinometer):
+            inclinometer.open()
+            return [inclinometer.read() for _ in range(times)][-1]
+
+    def test_is_read_by_its_data_sheet(self, fine: Inclinometer) -> None:
+        reading = self.read(fine)
+        across = math.degrees(math.asin(math.sin(math.radians(3.25)) * math.cos(math.radians(7.5))))
+        assert (reading.roll_deg, reading.pitch_deg) == (pytest.approx(across), pytest.approx(-7.5))
+        assert reading.temperature_c == pytest.approx(21.5, abs=0.2)
+
+    @pytest.mark.parametrize(
+        ("row", "change", "said"),
+        [
+            (0, {"type": "f32"}, r"register 0 \(roll\) says"),
+            (0, {"type": "s32"}, r"register 0 \(roll\) says"),
+            (1, {"address": 3, "type": "s16"}, r"register 3 \(pitch\) says"),
+            (2, {"scale": 1.0}, r"register 4 \(temperature\) says"),
+            (3, {"must_be": 0x4712}, r"register 100 \(identity\) is 18193 and must be 18194: another sensor"),
+            (3, {"address": 101}, "refuses function 3, register 101"),
+        ],
+    )
+    def test_is_refused_with_a_wrong_data_sheet(
+        self, fine: Inclinometer, row: int, change: dict[str, object], said: str
+    ) -> None:
+        rows = [dict(of) for of in FINE["registers"]]
+        rows[row] |= change
+        fine.noise_deg = 0.003  # the last digits are first with swapped words: a reading can be possible
+        with pytest.raises(InclinometerWrongError, match=said):
+            self.read(fine, 5, registers=rows)
+
+    def test_a_number_that_is_none_is_no_angle(self, fine: Inclinometer) -> None:
+        fine.axes = ((math.nan, 0.0, 0.0), (0.0, 0.0, 1.0))
+        with pytest.raises(InclinometerWrongError, match=r"register 0 \(roll\) says nan"):
+            self.read(fine)

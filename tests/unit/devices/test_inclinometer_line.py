@@ -13,7 +13,7 @@ from support.wire import Wire
 
 from altd.acquisition.inclination.judging import InclinationJudge
 from altd.devices.inclinometer import driver
-from altd.devices.inclinometer.driver import Line, ModbusInclinometer
+from altd.devices.inclinometer.driver import Line
 from altd.devices.inclinometer.registers import BALLUFF
 from altd.ports import InclinometerDisturbedError, InclinometerNotFoundError
 from hw_sim.inclinometer import Inclinometer
@@ -34,7 +34,7 @@ def test_a_line_that_never_falls_silent_is_given_up_in_time() -> None:
     thread.start()
     try:
         with pytest.raises(InclinometerDisturbedError, match="damaged answer"):
-            ModbusInclinometer(settings(wire.device)).open()
+            settings(wire.device).inclinometer().open()
         assert sent < 256  # more would be too much
     finally:
         ending.set()
@@ -111,7 +111,7 @@ def test_a_line_that_is_an_answer_behind_gives_no_believed_roll(monkeypatch: pyt
 
     judge = InclinationJudge(settings("/dev/any"), BALLUFF.accuracy)
     with answering(answer) as wire:
-        inclinometer = ModbusInclinometer(settings(wire.device))
+        inclinometer = settings(wire.device).inclinometer()
         inclinometer.open()
         good = [judge.roll(inclinometer.read()) for _ in range(15)]  # the settings were just read
         is_behind = True

@@ -1,7 +1,6 @@
 import asyncio
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
@@ -10,7 +9,7 @@ from support.measurements import measurement, points_of
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
-from altd.records import Fault, Finding, Value
+from altd.records import Fault, Finding, Measurement
 from altd.status.board import Board
 from altd.status.proof import Identity, Stamps, unit_number
 
@@ -112,8 +111,8 @@ def test_what_takes_the_numbers_comes_first_and_a_sensor_sees_only_numbers_that_
 ) -> None:
     compared: list[object] = []
 
-    def sense(values: Mapping[str, Value]) -> Finding:
-        compared.append(values)
+    def sense(measurement: Measurement) -> Finding:
+        compared.append(measurement.values)
         return Finding((Fault(Reason.ROLL_MISSING),))
 
     board = Board(clock, 1.0, QUANTITIES, sense=sense, rehearsal=rehearsal)

@@ -62,12 +62,12 @@ def test_mounting_is_a_sign_then_an_offset(sign: int, offset: float, angle: floa
 
 
 class TestSigma:
-    def test_holds_the_makers_limits_the_last_digit_and_the_noise(self) -> None:
+    def test_holds_the_makers_limits_the_last_digit_the_offset_and_the_noise(self) -> None:
         judged = judge()
         said = last_of(judged, noisy(10, 0.03))
         assert judged.noise_deg is not None
         assert said.sigma == pytest.approx(
-            math.sqrt(0.1**2 / 3 + 0.1**2 / 3 + 0.01**2 / 12 + judged.noise_deg**2)
+            math.sqrt(0.1**2 / 3 + 0.1**2 / 3 + 0.01**2 / 12 + 0.05**2 + judged.noise_deg**2)
         )
 
     @pytest.mark.parametrize("temperature_c", [-15.0, 9.9, 40.1, 60.0])
@@ -154,6 +154,35 @@ class TestRefuses:
     def test_what_is_out_of_range(self, angle_deg: float, temperature_c: float) -> None:
         said = last_of(judge(), [angle_deg, angle_deg + 0.01] * 3, temperature_c=temperature_c)
         assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
+
+
+FINE = InclinometerAccuracy(0.01, -20.0, 60.0, 0.05, 0.0, 0.0, 0.001, 30.0, roll_is_inclination=True)
+
+
+def fine_judge(**more: object) -> InclinationJudge:
+    table = {"driver": "witmotion_wt901c485", "device": "/dev/ttyS9", "offset_sigma_deg": 0, **more}
+    return InclinationJudge(InclinometerSettings.model_validate(table), FINE)
+
+
+def test_the_inclination_of_an_axis_is_no_rotation() -> None:
+    """At a pitch of 14° an axis across is inclined by 4.85° if the unit is rotated by 5°."""
+    angle = math.degrees(math.asin(math.sin(math.radians(5.0)) * math.cos(math.radians(14.0))))
+    angles = [angle, angle + 1e-6] * 3
+    said = last_of(fine_judge(), angles, pitch_deg=14.0)
+    assert said.value == pytest.approx(5.0, abs=1e-4)
+    assert angle == pytest.approx(4.85, abs=0.01)
+
+
+def test_the_drift_by_temperature_is_in_sigma() -> None:
+    angles = [1.0, 1.0 + 1e-6] * 3
+    cold, zero = (last_of(fine_judge(), angles, pitch_deg=0.0, temperature_c=c) for c in (40.0, 20.0))
+    assert (cold.sigma or 0) ** 2 - (zero.sigma or 0) ** 2 == pytest.approx(0.02**2 / 3)
+
+
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(30.0, 0.0), (0.0, -30.0)])
+def test_an_angle_at_the_end_of_the_range_is_none(roll_deg: float, pitch_deg: float) -> None:
+    said = last_of(fine_judge(), [roll_deg] * 5, pitch_deg=pitch_deg)
+    assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
 
 
 def test_after_a_restart_nothing_of_before_counts() -> None:

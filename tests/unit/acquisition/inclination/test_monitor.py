@@ -5,14 +5,16 @@ import itertools
 import random
 import threading
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock
 from support.measurements import BEAM, beam_of, measurement
 
 from altd.acquisition.inclination import monitor
-from altd.acquisition.inclination.monitor import InclinationMonitor, PitchDivergence
-from altd.config import InclinometerSettings, Installation
+from altd.acquisition.inclination.monitor import InclinationMonitor, stated_inclination
+from altd.acquisition.inclination.witness import Inclination, Witness
+from altd.config import InclinometerSettings, Installation, Machine
 from altd.ports import (
     InclinometerAccuracy,
     InclinometerDisturbedError,
@@ -24,7 +26,7 @@ from altd.ports import (
     InclinometerWrongError,
 )
 from altd.reasons import Reason
-from altd.records import Measurement
+from altd.records import Measurement, Value
 from altd.records.sensors import Quality
 from altd.status.health import Component, Health, State
 
@@ -88,8 +90,11 @@ class Bench:
         )
         self.task = asyncio.create_task(self.monitor.run())
 
+    def settings(self, **changed: object) -> None:
+        self.monitor._settings = self.monitor._settings.model_copy(update=changed)  # noqa: SLF001
+
     def now(self) -> Measurement:
-        return measurement().with_findings(self.monitor.sense(measurement().values))
+        return measurement().with_findings(self.monitor.sense(measurement()))
 
     @property
     def quality(self) -> Quality:
@@ -211,31 +216,68 @@ async def test_a_missing_port_is_looked_for_again(bench: Bench) -> None:
     await known(bench)
 
 
-async def test_a_slow_change_of_the_beams_inclination_is_warned_of_and_nothing_else(
+async def test_a_beam_that_diverges_is_warned_of_or_withdrawn(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """BEAM's pitch of -1.7184 is 2.2184 in the unit frame: sign -1, offset 0.5; with -2.2184 it is level."""
+    """BEAM's pitch of -1.7184 is 2.2184 in the unit frame: sign -1, offset 0.5; with -2.2184 it is level.
+
+    Its yaw of 1.1459° and a roll of 2° add 0.04°, with opposite signs: the beam goes to the lower side.
+    """
     bench.sensor.pitch_deg = -2.2184
     await known(bench)
-    added: list[float] = []
-    monkeypatch.setattr(
-        PitchDivergence, "add", lambda _, t_ns, inclination_deg: added.append(inclination_deg)
-    )
+    added: list[Inclination] = []
+    monkeypatch.setattr(Witness, "add", lambda _, sample: added.append(sample))
     bench.now()
-    assert added == [pytest.approx(0.0, abs=1e-9)]
+    assert added[0].value_deg == pytest.approx(-0.04, abs=0.003)
     added.clear()
-    bench.monitor.sense(measurement(160, 8_000_000_000, Reason.SPOT_MISSING).values)
+    bench.monitor.sense(measurement(160, 8_000_000_000, Reason.SPOT_MISSING))
     assert added == []
-    for divergence_deg, warned in ((0.49, []), (-0.51, ["pitch_diverges"]), (None, [])):
-        monkeypatch.setattr(PitchDivergence, "divergence_deg", lambda _, now_ns, it=divergence_deg: it)
+    for sigmas, warned in ((2.9, []), (-3.1, ["pitch_diverges"])):
+        monkeypatch.setattr(Witness, "difference", lambda _, now_ns, it=sigmas: Value(0.01 * it, 0.01))
         shown = bench.now()
         assert [str(fault) for fault in shown.status] == warned
         assert shown.valid
         assert beam_of(shown) == BEAM
+    bench.settings(divergence="invalid")
+    shown = bench.now()
+    assert [str(fault) for fault in shown.status] == ["implausible", "pitch_diverges"]
+    assert not shown.valid
+    assert shown.number("roll_deg") is not None
+    monkeypatch.setattr(Witness, "difference", lambda _, now_ns: None)
+    assert bench.now().valid
 
 
 async def test_one_axis_has_nothing_to_compare(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     await known(bench)
-    monkeypatch.setattr(PitchDivergence, "add", lambda *_: pytest.fail("there is no pitch"))
+    monkeypatch.setattr(Witness, "add", lambda *_: pytest.fail("there is no pitch"))
     assert bench.now().valid
     assert "gravity_pitch_deg" not in bench.component.figures
+
+
+async def test_roll_is_the_mean_over_the_exposures_of_the_beam(bench: Bench) -> None:
+    await known(bench)
+    await bench.clock.advance(2.0)
+    times = [each.t_ns for each in bench.monitor._judge.credible]  # noqa: SLF001
+    half_ns = (times[-1] - times[-8]) // 2
+    of_second = replace(measurement(), t_ns=times[-8] + half_ns, last_exposure_ns=times[-1])
+    roll = bench.monitor.sense(of_second).from_sensors["roll_deg"]
+    within = [each.tilt.roll_deg for each in bench.monitor._judge.credible if each.t_ns >= times[-8]]  # noqa: SLF001
+    assert roll.value == pytest.approx(sum(within) / len(within))
+    assert len(within) == 8
+    assert roll.t_ns == pytest.approx(of_second.t_ns, abs=2)
+    newest = bench.monitor.sense(replace(of_second, last_exposure_ns=None)).from_sensors["roll_deg"]
+    assert newest.value == within[-1]
+    assert (roll.sigma or 0.0) < (newest.sigma or 0.0)
+
+
+async def test_a_sensor_that_was_reopened_adds_nothing_from_before(bench: Bench) -> None:
+    await known(bench)
+    bench.monitor._judge.restart()  # noqa: SLF001  as on opening, while the last reading is still shown
+    assert bench.now().number("roll_deg") is not None
+
+
+def test_a_stated_inclination_needs_its_uncertainty() -> None:
+    assert stated_inclination(None) is None
+    assert stated_inclination(Machine(beam_inclination_mm_per_m=10.0)) is None
+    stated = stated_inclination(Machine(beam_inclination_mm_per_m=10.0, beam_inclination_sigma_mm_per_m=0.1))
+    assert stated == Value(pytest.approx(0.57294, abs=1e-5), pytest.approx(0.0057290, abs=1e-6))  # type: ignore[arg-type]
