@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from altd.instruments.beam.solver import KEYS
 from altd.records import FloatArray, Measurement, Quantity, Value
 from altd.records.joint import Linear
 
+BEAM_KEYS = ("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m")
+"""Published numbers of a beam that the points depend on."""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Steps of central differences: x and y, mm; slopes, mm/m; roll and the three angles of the mounting, rad."""
 
@@ -62,13 +65,9 @@ class MachinePoints:
         joint, roll = measurement.joint, self._roll(measurement)
         if not (values and self._keys and joint and roll and np.isfinite(joint.covariance).all()):
             return replace(measurement, values=values, linear={})
-        numbers = [values[key].value for key in ("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m")]
-        at = np.array([*numbers, math.radians(roll[0]), *self._mount])
-        steps = np.diag(_STEPS)
-        both = self._places_mm(np.concatenate([at + steps, at - steps, at[None]]))
-        gradients = (both[: len(steps)] - both[len(steps) : -1]) / (2.0 * _STEPS[:, None, None])
-        roll_and_mount = np.radians([roll[1], *[self._machine.mount_sigma_deg or 0.0] * 3])
-        others = np.square(gradients[4:] * roll_and_mount[:, None, None]).sum(axis=0)
+        numbers = [values[key].value for key in BEAM_KEYS]
+        places, gradients = self._linear(numbers, roll[0])
+        others = np.square(gradients[4:] * self._roll_and_mount(roll[1])[:, None, None]).sum(axis=0)
         others += self._lever_variance[:, None]
         linear = {
             key: Linear(gradients[:4, point, axis], float(others[point, axis]))
@@ -80,8 +79,34 @@ class MachinePoints:
             for axis, key in enumerate(keys):
                 of = linear[key]
                 random = Linear(of.gradient, 0.0).sigma(scatter)
-                values[key] = Value(float(both[-1, point, axis]), of.sigma(covariance), random)
+                values[key] = Value(float(places[point, axis]), of.sigma(covariance), random)
         return replace(measurement, values=values, linear=linear)
+
+    def places(
+        self, beam: Sequence[float], covariance: FloatArray, roll_deg: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the places (points, 3) to the right, up and along the beam, mm, with covariances, mm².
+
+        ``beam`` are the published numbers of ``BEAM_KEYS`` with their ``covariance`` (4, 4), ``roll_deg`` is
+        roll and its sigma. The way along the beam begins where the beam meets the front target.
+        """
+        places, gradients = self._linear(beam, roll_deg[0])
+        whole = np.diag(np.concatenate([np.zeros(4), self._roll_and_mount(roll_deg[1])]) ** 2)
+        whole[:4, :4] = covariance
+        covariances: FloatArray = np.einsum("ipa,ij,jpb->pab", gradients, whole, gradients)
+        return places, covariances + self._lever_variance[:, None, None] * np.eye(3)
+
+    def _linear(self, beam: Sequence[float], roll_deg: float) -> tuple[FloatArray, FloatArray]:
+        """Return the places (points, 3), mm, and their derivatives (8, points, 3) by ``_STEPS``."""
+        at = np.array([*beam, math.radians(roll_deg), *self._mount])
+        steps = np.diag(_STEPS)
+        both = self._places_mm(np.concatenate([at + steps, at - steps, at[None]]))
+        gradients = (both[: len(steps)] - both[len(steps) : -1]) / (2.0 * _STEPS[:, None, None])
+        return both[-1], gradients
+
+    def _roll_and_mount(self, roll_sigma_deg: float) -> FloatArray:
+        """Return the sigmas of roll and of the three angles of the mounting, rad."""
+        return np.radians([roll_sigma_deg, *[self._machine.mount_sigma_deg or 0.0] * 3])
 
     def _roll(self, measurement: Measurement) -> tuple[float, float] | None:
         """Return roll and its sigma, degrees; None: not known."""
@@ -93,12 +118,13 @@ class MachinePoints:
         return said.value, math.hypot(said.sigma, said.rate * _APART_S)
 
     def _places_mm(self, at: FloatArray) -> FloatArray:
-        """Return the distances (k, points, 2) to the right and up, for k sets ``at`` (k, 8), see ``_STEPS``.
+        """Return the places (k, points, 3) right, up and along, for k sets ``at`` (k, 8), see ``_STEPS``.
 
         In the unit frame the beam passes (x, y, plane) along d = (sx, sy, 1). The distance is r = o − (o·d)d
         with o from the beam to the point, d of length 1. Roll is the angle between y and the vertical u as
         seen along z, so u ~ (−sin roll, cos roll, t), with t from the beam's inclination. "To the right" is
-        u × d, which is horizontal and perpendicular to the beam, "up" is d × (u × d).
+        u × d, which is horizontal and perpendicular to the beam, "up" is d × (u × d). "Along" is counted from
+        the plane z = 0.
         """
         xy = self._signs[:2] * (at[:, :2] - self._offsets[:2])
         angles = self._signs[2:] * (np.arctan(at[:, 2:4] / 1000.0) - np.radians(self._offsets[2:]))
@@ -109,14 +135,17 @@ class MachinePoints:
         levers = self._in_unit_frame(at[:, 5:])
         beside = np.zeros_like(levers)
         beside[..., :2] = levers[..., :2] - xy[:, None] - slopes[:, None] * (levers[..., 2:] - self._plane_mm)
-        beside -= (beside @ along[:, :, None]) * along[:, None]
+        ahead = beside @ along[:, :, None]
+        beside -= ahead * along[:, None]
+        ahead = ahead[..., 0] + levers[..., 2] * length[:, None]
         up = np.column_stack([-np.sin(at[:, 4]), np.cos(at[:, 4]), np.zeros(len(at))])
         incline = math.atan(self._machine.beam_inclination_mm_per_m / 1000.0)
         for _ in range(_STEPS_OF_VERTICAL):  # u · d = |u| sin(inclination)
             up[:, 2] = length * math.sin(incline) * np.hypot(1.0, up[:, 2]) - (up[:, :2] * slopes).sum(axis=1)
         right = np.cross(up, along)
         right /= np.linalg.norm(right, axis=1)[:, None]
-        places: FloatArray = beside @ np.stack([right, np.cross(along, right)], axis=2)
+        across = beside @ np.stack([right, np.cross(along, right)], axis=2)
+        places: FloatArray = np.concatenate([across, ahead[..., None]], axis=2)
         return places
 
     def _in_unit_frame(self, mount: FloatArray) -> FloatArray:
