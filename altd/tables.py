@@ -67,7 +67,7 @@ def text(name: str, meaning: str) -> Column:
     return Column(name, Type.TEXT, "", meaning)
 
 
-_UNITS = {"_mm_per_m": "mm/m", "_mm": "mm", "_deg": "°", "_px": "px", "_s": "s"}
+_UNITS = {"_mm_per_m": "mm/m", "_mm": "mm", "_deg": "°", "_px": "px", "_s": "s", "_m": "m"}
 
 
 def _unit(name: str) -> str:
@@ -183,6 +183,29 @@ POINT_COLUMNS = (
     text("origin", "`camera` or `simulated`: the calibration's frames"),
 )
 """Columns of ``altd map``."""
+
+AXIS_COLUMNS = (
+    Column("line", Type.WHOLE, "", "number of the input line"),
+    Column("sequence", Type.WHOLE, "", "of the measurement"),
+    Column("time", Type.TIME, "", "of the measurement"),
+    text("status", "codes of the measurement; `simulated` and `playback` are not live"),
+    text("point", "name of the point of the machine"),
+    number("chainage_m", "place of the point's foot on the axis"),
+    number("offset_right_mm", "horizontal distance of the point from the axis, positive to the right"),
+    number("offset_up_mm", "vertical distance of the point from the axis, positive above"),
+    number("sigma_chainage_mm", "combined standard uncertainty"),
+    number("sigma_offset_right_mm", "combined standard uncertainty"),
+    number("sigma_offset_up_mm", "combined standard uncertainty"),
+    number("east_m", "the point in the project"),
+    number("north_m", "the point in the project"),
+    number("height_m", "the point in the project"),
+    number("sigma_east_mm", "combined standard uncertainty"),
+    number("sigma_north_mm", "combined standard uncertainty"),
+    number("sigma_height_mm", "combined standard uncertainty"),
+    text("reason", "why there are no numbers; `unreadable`: the line is no measurement"),
+    text("detail", "the same in words"),
+)
+"""Columns of ``altd axis``."""
 
 
 class CsvTable:

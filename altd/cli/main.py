@@ -13,6 +13,7 @@ from typing import Protocol
 
 from altd import __version__
 from altd.cli import (
+    axis,
     backup,
     baseline,
     calibrate,
@@ -68,6 +69,7 @@ COMMANDS: dict[str, Command] = {
     "level": level,
     "locate": locate,
     "map": map,
+    "axis": axis,
     "selfcheck": selfcheck,
     "verify": verify,
     "baseline": baseline,

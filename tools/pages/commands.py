@@ -19,6 +19,7 @@ PAGES = {
     "lamps": "selfcheck.md",
     "locate": "locate.md",
     "map": "tables.md",
+    "axis": "machine.md",
     "selfcheck": "selfcheck.md",
     "verify": "verify.md",
     "baseline": "chain.md",

@@ -99,6 +99,10 @@ COMMANDS = {
     "map": Command(
         "map --calibration {cal} --target rear", "altd.measuring.calibration:TargetCalibration.point 2"
     ),
+    "axis": Command(
+        "axis --config {tunnel}/unit.toml {tunnel}/axis.json {tunnel}/beam.json {tunnel}/measurement.jsonl",
+        "altd.axis:Axis.feet 1",
+    ),
     "token": Command("token credentials press", "altd.files.writing:_temporary_file 1"),
     "selfcheck": Command("selfcheck {check} --calibration {cal}", FRAME),
     "verify": Command("verify {scan} --calibration {cal}", FRAME),
@@ -189,6 +193,7 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
         "served": served,
         "archive": archive,
         "fleet": fleet,
+        "tunnel": ROOT / "examples" / "tunnel",
     }
     return shlex.split(line.format(**scans, **files))
 

@@ -44,6 +44,7 @@ DONE = {
     "locate": (0, "", set()),
     "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
     "map": (0, "", set()),
+    "axis": (0, "", set()),
     "selfcheck": (1, "", set()),
     "verify": (1, "", set()),
     "verify's page": (1, "", {"page"}),
@@ -197,7 +198,7 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path, warm:
 
 PRINT_ROW_BY_ROW = (
     *("replay", "replay's csv on standard output", "locate's table", "map's table"),
-    *("export on standard output", "events"),
+    *("export on standard output", "events", "axis"),
 )
 PRINT_AT_THE_END = (
     *("calibrate", "locate", "map", "selfcheck", "verify", "check-config", "registers", "devices", "doctor"),

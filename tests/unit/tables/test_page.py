@@ -1,7 +1,7 @@
 from support.places import DOCS
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.tables import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
+from altd.tables import AXIS_COLUMNS, POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
 from tools.pages.tables import page
 
 
@@ -10,10 +10,11 @@ def test_the_page_is_generated_from_the_code() -> None:
 
 
 def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:
-    for columns in (measurement_columns(QUANTITIES, ("front", "rear"), True), POINT_COLUMNS, SPOT_COLUMNS):
+    measured = measurement_columns(QUANTITIES, ("front", "rear"), True)
+    for columns in (measured, POINT_COLUMNS, SPOT_COLUMNS, AXIS_COLUMNS):
         names = [column.name for column in columns]
         assert len(set(names)) == len(names)
         for column in columns:
-            endings = {"mm": "_mm", "°": "_deg", "mm/m": "_mm_per_m", "px": "_px", "s": "_s"}
+            endings = {"mm": "_mm", "°": "_deg", "mm/m": "_mm_per_m", "px": "_px", "s": "_s", "m": "_m"}
             ending = endings.get(column.unit, "")
             assert column.name.endswith(ending)
