@@ -26,17 +26,16 @@ from altd.tables import AXIS_COLUMNS, TEXT_FORMATS, Row, TextFormat
 
 UNREADABLE = "unreadable"
 _MAX_BYTES = _MAX_LINE_BYTES = 1 << 20
-_MAX_INCLINATION_MM_PER_M = 1.0
-"""Maximum difference of the beam's inclination in the settings from the surveyed one: at a yaw of 50 mm/m it
-turns the vertical by 0.05 mm/m."""
+_MAX_INCLINATION_MM_PER_M = 0.5
+"""Maximum difference of the beam's inclination in the settings from the surveyed one, which also finds a
+wrong sign: at a yaw of 50 mm/m it turns the vertical by 0.025 mm/m."""
 _ROUNDED_MM, _ROUNDED_PER_LEVER = 0.005, 2e-6
 """Maximum difference of a point that is computed again from the rounded numbers of its message."""
 _ROUNDED_SIGMA_MM, _MIN_SIGMA_SHARE = 2e-4, 0.98
-_NOT_LIVE = {*NOT_FROM_CAMERAS, Reason.REHEARSAL}
+"""A published sigma is at least that of the settings, but for its rounding."""
 _ROUNDED, _MIN_VARIANCE = 1e-4, 1e-12
 """Maximum fault of a matrix of correlations: a covariance is published with six digits."""
-
-
+_NOT_LIVE = {*NOT_FROM_CAMERAS, Reason.REHEARSAL}
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
@@ -153,12 +152,13 @@ class Guidance:
         said = [message.points.get(each.name) for each in machine.points]
         published = [(each.right_mm, each.up_mm) if each else (None, None) for each in said]
         stated = [(each.sigma.right_mm, each.sigma.up_mm) if each else (None, None) for each in said]
-        roll = _roll_of(message) if machine.roll_deg is None else (machine.roll_deg, machine.roll_sigma_deg)
+        roll_deg = self._roll_deg(message)
         known = np.array([*published, *stated], dtype=np.float64)
         joint = np.array([row[:4] for row in message.covariance[:4]], dtype=np.float64)
-        if None in (*numbers, *roll) or not (np.isfinite(known).all() and np.isfinite(joint).all()):
+        is_known = np.isfinite(known).all() and np.isfinite(joint).all()
+        if roll_deg is None or None in numbers or not is_known:
             raise _RefusedError("not_known", "the measurement has no place of this machine's points")
-        places, covariances = self._points.places(numbers, joint, (roll[0] or 0.0, roll[1] or 0.0))
+        places, covariances = self._points.places(numbers, joint, roll_deg)
         across, sigmas = known[: len(said)], known[len(said) :]
         levers_mm = [math.hypot(each.x_mm, each.y_mm, each.z_mm) for each in machine.points]
         allowed_mm = _ROUNDED_MM + _ROUNDED_PER_LEVER * np.array(levers_mm)
@@ -171,6 +171,16 @@ class Guidance:
         scale[:, :2] = np.maximum(sigmas, own[:, :2]) / np.where(own[:, :2] > 0, own[:, :2], 1.0)
         scaled: FloatArray = covariances * scale[:, :, None] * scale[:, None, :]
         return np.column_stack([across, places[:, 2]]), scaled
+
+    def _roll_deg(self, message: Message) -> tuple[float, float] | None:
+        """Return roll and its sigma, as ``MachinePoints`` takes them; the covariance has it in mm/m."""
+        if self._machine.roll_deg is not None:
+            return self._machine.roll_deg, self._machine.roll_sigma_deg or 0.0
+        variance = message.covariance[4][4] if len(message.covariance) == 5 else None
+        if message.roll_deg is None or variance is None or variance < 0:
+            return None
+        per_deg = 1000.0 * math.radians(1.0) / math.cos(math.radians(message.roll_deg)) ** 2
+        return message.roll_deg, math.sqrt(variance) / per_deg
 
     def _row(self, place: FloatArray, covariance: FloatArray) -> Row:
         feet = self._axis.feet(place)
@@ -188,15 +198,6 @@ class Guidance:
             name: round(float(number), 5 if name.endswith("_m") else 3)
             for name, number in zip(names, numbers, strict=True)
         }
-
-
-def _roll_of(message: Message) -> tuple[float | None, float | None]:
-    """Return the roll of a message and its sigma, degrees; the fifth of the joint quantities is in mm/m."""
-    variance = message.covariance[4][4] if len(message.covariance) == 5 else None
-    if message.roll_deg is None or variance is None or variance < 0:
-        return None, None
-    per_deg = 1000.0 * math.radians(1.0) / math.cos(math.radians(message.roll_deg)) ** 2
-    return message.roll_deg, math.sqrt(variance) / per_deg
 
 
 def guidance_of(axis: Path, beam: Path, config: Path) -> Guidance:

@@ -1,15 +1,22 @@
 """``altd axis`` on the example of docs/machine.md: what is refused, and lines as they come."""
 
 import json
+import math
+import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.cli import altd_here, refusal
 from support.places import DOCS, ROOT
+
+from altd.config import Installation, Machine
+from altd.instruments.beam.points import MachinePoints
 
 TUNNEL = ROOT / "examples" / "tunnel"
 AXIS, BEAM, SETTINGS = (TUNNEL / name for name in ("axis.json", "beam.json", "unit.toml"))
@@ -45,7 +52,8 @@ REFUSED = [
     ({"points": {}}, "not_known"),
     ({"x_mm": None}, "not_known"),
     ({"covariance": [[None] * 4] * 4}, "not_known"),
-    ({"points": point(right_mm=POINT["right_mm"] + 0.1)}, "other_settings"),
+    ({"points": point(right_mm=POINT["right_mm"] + 0.02)}, "other_settings"),
+    ({"points": point(right_mm=POINT["right_mm"] + 0.01)}, None),
     ({"points": point(sigma={"right_mm": 0.5, "up_mm": 1.4})}, "other_settings"),
     ({"points": {**point(), "shield": POINT}}, "other_settings"),
     ({"x_mm": 24.0}, "other_settings"),
@@ -83,10 +91,12 @@ UNREADABLE = [
     (line(distance_m=-62.4), "distance_m: -62.4 is too small"),
     (line(time="2026-11-20T08:15:30.125"), 'time: "2026-11-20T08:15:30.125" is not a time'),
     (line(covariance=COVARIANCE[:3]), "covariance: is not a matrix"),
+    (line(covariance=[row[:3] for row in COVARIANCE[:3]]), "covariance: is not a matrix"),
     (line(covariance=[[-each for each in row] for row in COVARIANCE]), "covariance: is not that of four"),
     (line(covariance=[COVARIANCE[0], [0.1, 0, 0, 0], *COVARIANCE[2:]]), "covariance: is not that of four"),
     ('{"sequence": 1}\n', "time: this key is missing"),
     (LINE[:900] + "\n", "is not JSON"),
+    ("{" + " " * (1 << 20) + "}\n", "is longer than 1048576 bytes"),
     ("[]\n", "a list is not a table"),
     ('{"valid": true, ' + LINE[1:], "is not JSON: the key 'valid' occurs twice"),
 ]
@@ -103,6 +113,34 @@ def test_a_bad_line_is_reported_with_its_number_and_the_others_go_through(bad: s
         (3, "unreadable"),
         (4, None),
     ]
+
+
+def test_roll_of_an_inclinometer_is_that_of_the_message(tmp_path: Path) -> None:
+    """At 40° the tangent, in which the covariance has it, differs from the angle."""
+    roll_deg, sigma_deg = 40.0, 0.2
+    stated = {
+        **tomllib.loads(SETTINGS.read_text())["machine"],
+        "roll_deg": roll_deg,
+        "roll_sigma_deg": sigma_deg,
+    }
+    finished = MachinePoints(Machine.model_validate(stated), Installation())
+    seen = [MESSAGE[key] for key in ("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m")]
+    ((right, up, _),), (covariance,) = finished.places(seen, np.array(COVARIANCE), (roll_deg, sigma_deg))
+    sigmas = dict(zip(("right_mm", "up_mm"), np.sqrt(np.diag(covariance)).tolist(), strict=False))
+    of_roll = (
+        1000 * math.tan(math.radians(roll_deg + 0.001)) - 1000 * math.tan(math.radians(roll_deg))
+    ) / 0.001
+    joint = [[*row, 0.0] for row in COVARIANCE] + [[0.0, 0.0, 0.0, 0.0, (of_roll * sigma_deg) ** 2]]
+    inclinometer = '[inclinometer]\ndriver = "balluff_bsi_r11a0"\ndevice = "/dev/none"\n'
+    settings = re.sub(r"\nroll_.*", "", SETTINGS.read_text()) + inclinometer
+    (tmp_path / "unit.toml").write_text(settings)
+    points = {"cutterhead": {"right_mm": right, "up_mm": up, "sigma": sigmas}}
+    fields: dict[str, Any] = {"points": points, "roll_deg": roll_deg, "covariance": joint}
+    command = ("axis", "--config", tmp_path / "unit.toml", AXIS, BEAM)
+    outcome = altd_here(
+        *command, stdin=line(**fields) + line(**{**fields, "roll_deg": None, "sequence": 161})
+    )
+    assert [row["reason"] for row in outcome.objects] == [None, "not_known"]
 
 
 def test_a_repeated_measurement_is_not_a_new_one_and_one_that_is_not_live_is_named() -> None:
@@ -141,7 +179,9 @@ def test_documents_of_another_unit_or_another_direction_are_refused(tmp_path: Pa
 
 def test_lines_of_a_live_source_are_answered_as_they_come() -> None:
     command = [sys.executable, "-m", "altd.cli", *map(str, COMMAND), "--format", "csv"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as process:
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, env=buffered, **pipes) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         for number in range(2):

@@ -129,6 +129,7 @@ BAD_AXES = [
     ("start.azimuth_deg", 80.5556, "end: the elements end at"),  # 72.5° in gon
     ("start.azimuth_deg", 1.2654, "end: the elements end at"),  # in rad
     ("start.azimuth_deg", 432.5, "start.azimuth_deg: 432.5 is too large"),
+    ("end.east_m", 5274.526, "end: the elements end at 5274.511, 8031.081"),
     ("horizontal.2.start_radius_m", -400.0, "end: the elements end at"),
     ("horizontal.1.length_m", 60000.0, "end: the elements end at"),  # in mm
     ("horizontal.1.length_m", "60", 'horizontal.1.length_m: "60" is not a number'),
