@@ -29,7 +29,7 @@ _STEP_M, _MAX_STEPS = 1e-10, 60
 """Last step of Newton's method, and the maximum number of steps."""
 _END_TOLERANCE_M = 0.01
 """Maximum distance of the axis' computed end from the stated one: designs are printed in mm."""
-_MAX_GRADIENT = 0.5
+_MAX_GRADIENT, _MIN_APART_M = 0.5, 0.001
 _RADII_OF_OFFSET = 2.0
 """Minimum radius as a multiple of the largest offset: further inside a curve a foot is not unique."""
 
@@ -38,11 +38,11 @@ def _utc(text: object) -> datetime:
     """Return the time of an ISO 8601 text with its offset from UTC."""
     try:
         time = datetime.fromisoformat(text) if isinstance(text, str) else None
-    except ValueError:
-        time = None
-    if time is None or time.tzinfo is None:
-        raise complaint(((), f"{shown(text)} is not a time such as 2026-11-20T08:15:22Z"))
-    return time.astimezone(UTC)
+        if time is not None and time.tzinfo is not None:
+            return time.astimezone(UTC)
+    except (ValueError, OverflowError):  # the latter for the first and the last day
+        pass
+    raise complaint(((), f"{shown(text)} is not a time such as 2026-11-20T08:15:22Z"))
 
 
 Utc = Annotated[datetime, BeforeValidator(_utc)]
@@ -79,7 +79,7 @@ class Element(Strict):
     null: no curvature. A straight line has null twice, an arc one radius twice, any other is a clothoid.
     """
 
-    length_m: Annotated[float, Field(gt=0, le=100_000)]
+    length_m: Annotated[float, Field(ge=0.001, le=100_000)]
     start_radius_m: _Radius | None
     end_radius_m: _Radius | None
 
@@ -140,7 +140,7 @@ class AxisDocument(Strict):
     def _check_vertical(self) -> None:
         for number, (one, two) in enumerate(pairwise(self.vertical), start=1):
             apart_m = two.chainage_m - one.chainage_m
-            if apart_m <= 0 or abs(two.height_m - one.height_m) > _MAX_GRADIENT * apart_m:
+            if apart_m < _MIN_APART_M or abs(two.height_m - one.height_m) > _MAX_GRADIENT * apart_m:
                 said = f"is behind or steeper than {1000 * _MAX_GRADIENT:g} mm/m"
                 raise complaint((("vertical", number), said))
             if one.curve_length_m + two.curve_length_m > 2 * apart_m:

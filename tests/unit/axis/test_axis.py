@@ -153,6 +153,7 @@ BAD_BEAMS = [
     ("distance_m", 62400.0, "distance_m: 62400.0 is too large"),
     ("distance_until", ..., "distance_m: needs distance_until"),
     ("time", "2026-11-20T07:40:00", 'time: "2026-11-20T07:40:00" is not a time such as'),
+    ("time", "0001-01-01T00:00:00+01:00", 'time: "0001-01-01T00:00:00+01:00" is not a time such as'),
     ("time", 1763600000, "time: 1763600000 is not a time such as"),
     ("serial", ..., "serial: this key is missing"),
     ("by", "", 'by: "" is too short'),
