@@ -32,7 +32,7 @@ from altd.app.diagnostics import diagnostic_parts
 from altd.app.instruments import live_instrument, views_of
 from altd.app.interfaces import Interfaces, interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
-from altd.app.level import load_level
+from altd.app.level import alignment_of
 from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import (
     AnyCalibration,
@@ -111,7 +111,7 @@ class Daemon:
         self._state_folder: Path | None = None
         if (of := config.inclinometer) is not None:
             component, place = self.health.component("inclinometer"), config.installation
-            alignment = None if of.level is None else load_level(of.level, of, config.unit.serial)
+            alignment = alignment_of(of, config.unit.serial)
             stated = stated_inclination(config.machine)
             self._inclination = InclinationMonitor(
                 of.inclinometer(), of, place, component, self.clock, alignment, stated

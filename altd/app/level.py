@@ -16,7 +16,7 @@ from altd.acquisition.inclination.judging import InclinationJudge
 from altd.config import InclinometerSettings
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, line_of, parse_json
-from altd.files.reading import read_file
+from altd.files.reading import check_rights, read_file
 from altd.files.table import Celsius, Table
 from altd.files.writing import write_file
 from altd.ports import Inclinometer, InclinometerError, InclinometerReading
@@ -75,8 +75,14 @@ class LevelDocument(Table):
         return found
 
 
-def load_level(path: Path, settings: InclinometerSettings, unit: str) -> Alignment:
-    """Return the alignment in a file of ``altd level``; raises BadInputError if it is not of this unit."""
+def alignment_of(settings: InclinometerSettings, unit: str) -> Alignment | None:
+    """Return the alignment of the settings' file of ``altd level``; None: they name none.
+
+    Raises BadInputError if the file is not of this unit, sensor and signs.
+    """
+    if (path := settings.level) is None:
+        return None
+    check_rights(path)
     try:
         document = parse_json(read_file(path, _MAX_BYTES))
         if not isinstance(document, dict) or document.get("format") != _FORMAT:

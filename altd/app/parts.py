@@ -11,6 +11,7 @@ from typing import Any
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.app.baseline import baseline_file
+from altd.app.level import alignment_of
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
 from altd.calibration.planar_file import check_planar_camera, load_planar_calibration
 from altd.config import Config, LiveCameraSettings
@@ -51,6 +52,8 @@ def missing_files(config: Config) -> list[MissingFile]:
             played.setdefault(camera.path, []).append(f"cameras.{name}.path")
     named = [MissingFile("unit.calibration", config.unit.calibration, "altd calibrate")]
     named += [MissingFile(", ".join(keys), path, "altd record") for path, keys in played.items()]
+    if config.inclinometer is not None and config.inclinometer.level is not None:
+        named.append(MissingFile("inclinometer.level", config.inclinometer.level, "altd level"))
     return [file for file in named if not os.path.lexists(file.path)]
 
 
@@ -74,7 +77,10 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
                 baseline.load()
         except BadInputError as error:
             errors.setdefault(str(error), error)
-    for check in interface_checks(config):
+    checks: list[Callable[[], object]] = list(interface_checks(config))
+    if (of := config.inclinometer) is not None and of.level not in missing:
+        checks.append(partial(alignment_of, of, config.unit.serial))
+    for check in checks:
         try:
             check()
         except BadInputError as error:

@@ -92,6 +92,7 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
         (document.get("chain"), "baseline"),
         (document.get("kept_frames"), "folder"),
         (document.get("history"), "file"),
+        (document.get("inclinometer"), "level"),
     ]
     cameras = document.get("cameras")
     if isinstance(cameras, dict):

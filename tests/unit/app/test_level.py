@@ -11,8 +11,10 @@ from support.cli import altd_here, refusal
 from support.inclinometer import FINE, settings
 from support.unit_toml import played_toml
 
+from altd.acquisition.inclination.alignment import Alignment
 from altd.acquisition.inclination.judging import InclinationJudge
-from altd.app.level import load_level, report, save_level, take_level
+from altd.app.level import alignment_of, report, save_level, take_level
+from altd.app.parts import check_files, missing_files
 from altd.config import InclinometerSettings, load_config
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of
@@ -24,6 +26,12 @@ PLATE_DEG = 0.005
 
 def of(sensor: Inclinometer, **more: object) -> InclinometerSettings:
     return settings(sensor.device, "modbus", sensor=FINE, interval_s=0.05, **more)
+
+
+def aligned(table: InclinometerSettings) -> Alignment:
+    alignment = alignment_of(table, "TEST-1")
+    assert alignment is not None
+    return alignment
 
 
 def level(sensor: Inclinometer, path: Path, seed: int = 1) -> None:
@@ -66,7 +74,7 @@ def test_roll_and_pitch_of_a_levelled_sensor_err_as_sigma_says(levelled: tuple[I
     driver.open()
     for roll_deg, pitch_deg in ((0.0, 0.0), (5.0, -6.0), (-4.0, 6.0)):
         sensor.roll_deg, sensor.pitch_deg = roll_deg, pitch_deg
-        judge = InclinationJudge(table, driver.accuracy, load_level(path, table, "TEST-1"))
+        judge = InclinationJudge(table, driver.accuracy, aligned(table))
         said = [judge.roll(driver.read()) for _ in range(8)][-1]
         assert said.value is not None
         assert said.sigma is not None
@@ -78,7 +86,7 @@ def test_roll_and_pitch_of_a_levelled_sensor_err_as_sigma_says(levelled: tuple[I
 
 def test_the_report_and_the_file(levelled: tuple[Inclinometer, Path]) -> None:
     sensor, path = levelled
-    lines = list(report(load_level(path, of(sensor), "TEST-1")))
+    lines = list(report(aligned(of(sensor, level=path))))
     assert lines[0].startswith("zero of roll +1.2")
     assert " of pitch -0.8" in lines[0]
     assert lines[1].startswith("turn of the axes: roll +1.0")
@@ -119,7 +127,7 @@ def test_a_file_that_is_not_of_this_sensor_is_refused(
     document.setdefault("checksum", checksum_of(document))
     path.write_text(json.dumps(document))
     with pytest.raises(BadInputError, match=r"level\.json: ") as caught:
-        load_level(path, of(sensor, sign_roll=sign), unit)
+        alignment_of(of(sensor, level=path, sign_roll=sign), unit)
     assert said in str(caught.value)
 
 
@@ -135,7 +143,7 @@ def test_positions_that_contradict_each_other_are_refused(
     document["checksum"] = checksum_of(document)
     path.write_text(json.dumps(document))
     with pytest.raises(BadInputError, match="contradict each other"):
-        load_level(path, of(sensor), "TEST-1")
+        aligned(of(sensor, level=path))
 
 
 def test_the_command_guides_and_writes_nothing_when_its_input_ends(
@@ -163,7 +171,15 @@ def test_the_command_guides_and_writes_nothing_when_its_input_ends(
         assert (whole.status, whole.out.split(" ")[:3]) == (0, ["zero", "of", "roll"])
         config = load_config(place)
         assert config.inclinometer is not None
-        load_level(output, config.inclinometer, "TEST-1")
+        aligned(config.inclinometer)
+        checked = check_files(config)[1]
+        assert checked == []
+        output.write_text(output.read_text().replace("TEST-1", "TEST-2"))
+        assert [str(error) for error in check_files(config)[1]] == [
+            f"{output}: checksum does not match: the file is damaged or was edited"
+        ]
+        output.unlink()
+        assert "inclinometer.level" in [file.keys for file in missing_files(config)]
         for wrong, said in (
             (["--at", "0,0"], "--at: 1 positions are not possible"),
             (["--sigma-deg", "0"], "above 0"),
