@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -215,8 +216,8 @@ class InclinometerAccuracy:
 
     ``cross_axis_deg`` is the error from a tilt about the other axis, ``step_deg`` the last digit,
     ``deg_per_k`` the limit of the zero's change per kelvin from the temperature of the levelling, or 20 °C.
-    Angles beyond ±``range_deg`` are not measured. Roll is the inclination of the unit's x axis
-    (``roll_is_inclination``) or a rotation about its z axis.
+    Angles beyond ±``range_deg`` are not measured; a sensor of 360° has no such limit. Roll is the
+    inclination of the unit's x axis (``roll_is_inclination``) or a rotation about its z axis.
     """
 
     limit_deg: float
@@ -226,7 +227,7 @@ class InclinometerAccuracy:
     cross_axis_deg: float
     step_deg: float
     deg_per_k: float = 0.0
-    range_deg: float = 180.0
+    range_deg: float = math.inf
     roll_is_inclination: bool = False
 
 

@@ -85,7 +85,7 @@ class InclinationMonitor:
         self._failure: SensorValue | None = None
         """The failure since the last reading; None: the last call succeeded."""
         self._logged: Quality | None = None
-        self._witness = Witness(stated)
+        self._witness = Witness(settings.divergence_sigmas, stated)
 
     def sense(self, measurement: Measurement) -> Finding:
         """Return the roll of a measurement, and whether its beam diverges from gravity.
@@ -104,10 +104,7 @@ class InclinationMonitor:
             said = self._failure or said
             faults.append(Fault(Reason.ROLL_MISSING, detail=said.detail))
         away = self._witness.difference(now_ns)
-        is_away = away is not None and abs(away.value) > self._settings.divergence_sigmas * (
-            away.sigma or 0.0
-        )
-        if away is not None and is_away:
+        if away is not None and self._witness.is_away(away):
             detail = (
                 f"the beam's inclination is off by {away.value:+.3f} deg, its uncertainty {away.sigma:.3f}"
             )

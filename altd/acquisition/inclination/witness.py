@@ -95,11 +95,14 @@ class Witness:
     """Compares the last seconds with the ``stated`` inclination, degrees, or with the first ten minutes.
 
     In both cases it compares them with the five minutes before, too: a jump shows against them best, a slow
-    change against the others.
+    change against the others. After a jump of more than ``sigmas`` uncertainties these five minutes remain
+    the reference until the beam is back: otherwise it would count as usual after five minutes.
     """
 
-    def __init__(self, stated: Value | None = None) -> None:
+    def __init__(self, sigmas: float, stated: Value | None = None) -> None:
+        self._sigmas = sigmas
         self._stated = stated
+        self._before_jump: _Mean | None = None
         self._samples: deque[Inclination] = deque(maxlen=round((_RECENT_S + 2 * _NOW_S) / INTERVAL_S))
         self._first: list[Inclination] = []
         self._reference: _Mean | None = None
@@ -111,12 +114,21 @@ class Witness:
             return
         if since_s > MAX_GAP_S:
             self._samples.clear()
-            self._first, self._reference = [], None
+            self._first, self._reference, self._before_jump = [], None, None
         self._samples.append(sample)
-        if self._stated is None and self._reference is None:
+        latest, before = self._latest(sample.t_ns), self._before_jump or self._recent(sample.t_ns)
+        has_jumped = latest is not None and before is not None and self.is_away(latest.since(before))
+        if self._before_jump is not None and not has_jumped:  # it is back: the time away is no reference
+            self._samples = deque([sample], self._samples.maxlen)
+        self._before_jump = before if has_jumped else None
+        if self._stated is None and self._reference is None and not has_jumped:
             self._first.append(sample)
             if (sample.t_ns - self._first[0].t_ns) * 1e-9 >= REFERENCE_S:
                 self._first, self._reference = [], _Mean.of(self._first)
+
+    def is_away(self, difference: Value) -> bool:
+        """Return whether a difference is more than ``sigmas`` of its uncertainties."""
+        return abs(difference.value) > self._sigmas * (difference.sigma or 0.0)
 
     def difference(self, now_ns: int) -> Value | None:
         """Return the inclination now minus the known one, degrees, with its combined standard uncertainty.
@@ -129,17 +141,24 @@ class Witness:
         )
 
     def _differences(self, now_ns: int) -> Iterator[Value]:
-        begin_ns = now_ns - round((_NOW_S + INTERVAL_S) * 1e9)
-        latest = [sample for sample in self._samples if sample.t_ns > begin_ns]
-        if len(latest) < _MIN_NOW:
+        now = self._latest(now_ns)
+        if now is None:
             return
-        now = _Mean.of(latest)
         if self._stated is not None:
             sigma_deg = math.hypot(now.newest.sigma_deg, self._stated.sigma or 0.0, now.scatter_deg)
             yield Value(now.value_deg - self._stated.value, sigma_deg)
-        if self._reference is not None:
-            yield now.since(self._reference)
-        recent_ns = begin_ns - round(_NOW_S * 1e9)
-        recent = [s for s in self._samples if recent_ns - _RECENT_S * 1e9 < s.t_ns <= recent_ns]
-        if len(recent) >= _MIN_RECENT:
-            yield now.since(_Mean.of(recent))
+        for before in (self._reference, self._before_jump or self._recent(now_ns)):
+            if before is not None:
+                yield now.since(before)
+
+    def _latest(self, now_ns: int) -> _Mean | None:
+        """Return the mean of the last seconds; None: too few samples."""
+        begin_ns = now_ns - round((_NOW_S + INTERVAL_S) * 1e9)
+        latest = [sample for sample in self._samples if sample.t_ns > begin_ns]
+        return _Mean.of(latest) if len(latest) >= _MIN_NOW else None
+
+    def _recent(self, now_ns: int) -> _Mean | None:
+        """Return the mean of the five minutes before them; None: too few samples."""
+        end_ns = now_ns - round((2 * _NOW_S + INTERVAL_S) * 1e9)
+        recent = [s for s in self._samples if end_ns - _RECENT_S * 1e9 < s.t_ns <= end_ns]
+        return _Mean.of(recent) if len(recent) >= _MIN_RECENT else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from altd.devices.inclinometer.registers import Sensor
 
 _ADDRESS, _BAUD = 1, 19200
+_FULL_TURN_DEG = 180.0
 _ADDRESS, _BAUD = 1, 19200
 _LimitDegrees = Annotated[float, Field(ge=0, le=10)]
 
@@ -61,7 +63,7 @@ class SensorSettings(Table):
     cross_axis_deg: _LimitDegrees = 0.0
     """Limit of error from a tilt about the other axis, ±, degrees, if it is not part of ``limit_deg``."""
     range_deg: Annotated[float, Field(gt=0, le=180)]
-    """Measuring range, ±, degrees."""
+    """Measuring range, ±, degrees; 180: a full turn."""
     roll_is: Literal["rotation", "inclination"]
     """`rotation` about the unit's axis, as of a sensor of 360°, or `inclination` of the sensor's axis, as of
     most with a range below 90°: at a pitch of 14° and a roll of 5° they differ by 0.15°."""
@@ -103,7 +105,7 @@ class SensorSettings(Table):
                 self.cross_axis_deg,
                 max((abs(of.scale) for of in angles if not of.type.startswith("f")), default=0.0),
                 self.deg_per_k,
-                self.range_deg,
+                self.range_deg if self.range_deg < _FULL_TURN_DEG else math.inf,
                 self.roll_is == "inclination",
             ),
             tuple(

@@ -179,6 +179,11 @@ def test_the_drift_by_temperature_is_in_sigma() -> None:
     assert (cold.sigma or 0) ** 2 - (zero.sigma or 0) ** 2 == pytest.approx(0.02**2 / 3)
 
 
+def test_a_sensor_of_360_degrees_has_no_end_of_its_range() -> None:
+    said = last_of(judge(offset_roll_deg=180.0), [-180.0, 179.99] * 3)
+    assert said.quality is Quality.GOOD
+
+
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(30.0, 0.0), (0.0, -30.0)])
 def test_an_angle_at_the_end_of_the_range_is_none(roll_deg: float, pitch_deg: float) -> None:
     said = last_of(fine_judge(), [roll_deg] * 5, pitch_deg=pitch_deg)

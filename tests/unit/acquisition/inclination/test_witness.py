@@ -59,12 +59,12 @@ class World:
         return inclination(round(t_s * S), (slope_x, slope_y), pitch_value, unit, sensor_deg)
 
     def witness(self, is_stated: bool) -> Witness:
-        return Witness(Value(0.5 + self.survey_deg, SURVEY_DEG) if is_stated else None)
+        return Witness(SIGMAS, Value(0.5 + self.survey_deg, SURVEY_DEG) if is_stated else None)
 
 
 def is_away(witness: Witness, t_s: float) -> bool:
     found = witness.difference(round(t_s * S))
-    return found is not None and abs(found.value) > SIGMAS * (found.sigma or 0.0)
+    return found is not None and witness.is_away(found)
 
 
 @pytest.mark.long
@@ -135,3 +135,16 @@ def test_a_gap_forgets_the_reference_and_old_samples_tell_nothing() -> None:
     found = witness.difference(2005 * S)
     assert found is not None
     assert abs(found.value) < 0.03
+
+
+def test_a_jump_does_not_count_as_usual_after_five_minutes() -> None:
+    world = World(5)
+    witness = world.witness(False)
+    for t_s in range(200):
+        witness.add(world.sample(t_s))
+    for t_s in range(200, 1400):
+        witness.add(world.sample(t_s, 0.05))
+        assert t_s < 206 or is_away(witness, t_s), t_s
+    for t_s in range(1400, 1420):
+        witness.add(world.sample(t_s))
+    assert not is_away(witness, 1420)
