@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError
 from altd.acquisition.inclination.alignment import Alignment, Position, align
 from altd.acquisition.inclination.judging import InclinationJudge
 from altd.config import InclinometerSettings
+from altd.devices.inclinometer import SensorSettings
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, line_of, parse_json
 from altd.files.reading import check_rights, read_file
@@ -51,6 +52,8 @@ class LevelDocument(Table):
     format: str
     unit: str
     sensor: str
+    sheet: SensorSettings | None
+    """Data sheet of a sensor that the settings describe: scale and sense of its angles are those of it."""
     made: datetime
     made_by: str
     sign_roll: int
@@ -98,6 +101,8 @@ def alignment_of(settings: InclinometerSettings, unit: str) -> Alignment | None:
         ):
             if there != here:
                 raise ValueError(f"was made with {what} {there!r}, not {here!r}: level again, altd level")
+        if content.sheet != settings.sensor:
+            raise ValueError("was made with another [inclinometer.sensor]: level again, altd level")
         return content.alignment()
     except ValidationError as error:
         first = error.errors()[0]
@@ -136,6 +141,7 @@ def take_level(  # noqa: PLR0913  a sensor, its positions, and a guide
         format=_FORMAT,
         unit=unit,
         sensor=settings.type_name,
+        sheet=settings.sensor,
         made=datetime.now(UTC),
         made_by=made_by,
         sign_roll=settings.sign_roll,

@@ -52,7 +52,7 @@ class SensorSettings(Table):
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
     """Maker and type, for people."""
-    limit_deg: _LimitDegrees
+    limit_deg: Annotated[float, Field(gt=0, le=10)]
     """Limit of error of an angle, ±, degrees, between ``from_c`` and ``to_c``."""
     from_c: Celsius
     to_c: Celsius

@@ -187,3 +187,15 @@ def test_the_command_guides_and_writes_nothing_when_its_input_ends(
             assert said in refusal(altd_here(*arguments, *wrong))
         for text in ("0", "nan,0", "0,0,0,0", "50,0", "x,0"):
             assert altd_here(*arguments, "--at", text).status == 2
+
+
+def test_a_file_of_another_data_sheet_is_refused(levelled: tuple[Inclinometer, Path]) -> None:
+    """The same name with a reversed axis would be off by twice the zero."""
+    sensor, path = levelled
+    for change in (
+        {"roll_is": "rotation"},
+        {"registers": [FINE["registers"][0] | {"scale": -1.0}, *FINE["registers"][1:]]},
+    ):
+        table = settings(sensor.device, "modbus", sensor=FINE | change, level=path)
+        with pytest.raises(BadInputError, match=r"another \[inclinometer.sensor\]: level again"):
+            alignment_of(table, "TEST-1")

@@ -326,6 +326,7 @@ OTHERS: tuple[tuple[str, str, str, str], ...] = (
             words,
         )
         for old, new, key, words in (
+            ("limit_deg = 0.01", "limit_deg = «0", "limit_deg", "0 is too small; possible: number above 0"),
             ("to_c = 60", "to_c = «-30", "to_c", "-30 is not above from_c = -20"),
             ('"identity"', '«"serial"', "registers.2.use", '"serial" is not possible'),
             (", must_be = 3", "", "registers.2.must_be", 'belongs to use = "identity"'),
