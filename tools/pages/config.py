@@ -41,6 +41,7 @@ from altd.config.interfaces import Rs485Settings, SerialPortSettings, SparkplugS
 from altd.config.loading import config_of
 from altd.config.measuring import ScanLimits
 from altd.config.unit import Plate
+from altd.devices.inclinometer import RegisterSettings, SensorSettings
 from altd.devices.settings import ExposureSettings, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.fleet.settings import DatabaseSettings, FleetBrokerSettings, RetentionSettings
@@ -115,6 +116,8 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         "nothing is checked: `selfcheck.md`.",
     ),
     ("[inclinometer]", drivers.AnyInclinometerSettings, ""),
+    ("[inclinometer.sensor]", SensorSettings, ""),
+    ("[[inclinometer.sensor.registers]]", RegisterSettings, ""),
     *_drivers("[[thermometers]]", drivers.AnyThermometerSettings),
     ("[maintenance]", Maintenance, "The reasons they lead to: `reasons.md`."),
     ("[kept_frames]", KeptFrames, "How to list and replay them: `history.md`."),
