@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-import numpy as np
-
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantity, Value
+from altd.records.joint import is_definite
 
 _LATE_S = 10.0
 """Age at which every known part of the motion contributes to sigma, s."""
@@ -61,13 +60,16 @@ def _violations(measurement: Measurement, before: Measurement | None) -> Iterato
 def _joint_violations(measurement: Measurement) -> Iterator[str]:
     if (joint := measurement.joint) is None:
         return
-    sigmas = np.array([measurement.sigma(key) for key in joint.keys], dtype=np.float64)
+    variances = [(measurement.sigma(key) or math.nan) ** 2 for key in joint.keys]
+    slack = [_ROUNDING * variance for variance in variances]
     for name, matrix in ("covariance", joint.covariance), ("scatter", joint.scatter):
-        if not np.isfinite(matrix).all():
+        rows = matrix.tolist()
+        if not math.isfinite(sum(map(sum, rows))):
             yield f"the joint {name} is not finite"
-        elif np.linalg.eigvalsh(matrix / np.outer(sigmas, sigmas))[0] < -_ROUNDING:
+        elif not is_definite(rows, slack):  # as if both were divided by the variances
             yield f"the joint {name} has a negative eigenvalue"
-    if not (np.abs(np.diag(joint.covariance) / sigmas**2 - 1.0) < _ROUNDING).all():
+    diagonal = zip(joint.covariance.diagonal().tolist(), variances, strict=True)
+    if not all(abs(own / variance - 1.0) < _ROUNDING for own, variance in diagonal):
         yield "the joint covariance is not that of the sigmas"
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from altd.records import FloatArray
-from altd.records.joint import Joint, correlation_of
+from altd.records.joint import Joint
 from altd.records.spots import Motion
 
 MEMORY_S = 10.0
@@ -90,7 +90,7 @@ class MotionMemory:
         return {key: self._one(key, motion, now, before, fading) for key, motion in motions.items()}
 
     def joined(self, joint: Joint | None) -> Joint | None:
-        """Return the joint uncertainty of the last window with the correlations of its rates.
+        """Return the joint uncertainty of the last window with the products of its rates.
 
         They are those of the motions' estimates, whose errors count like motion; ``joint.keys`` are the
         motions' keys, in their order.
@@ -98,7 +98,7 @@ class MotionMemory:
         rates, changes = self._rate_products, self._change_products
         if joint is None or isinstance(rates, float) or isinstance(changes, float):
             return joint
-        return replace(joint, rate=correlation_of(rates), acceleration=correlation_of(changes))
+        return replace(joint, rate=rates, acceleration=changes)
 
     def _before(self, now: _Seen) -> _Seen | None:
         """Return the newest window old enough to share no frame set with this one; drop the older ones."""

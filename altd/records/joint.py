@@ -5,21 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from altd.records.frames import FloatArray
 from altd.records.spots import Motion
 
+Rows = list[list[float]]
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, eq=False)
 class Joint:
     """Joint uncertainty of the quantities ``keys``, n of them, all (n, n) in their order.
 
     ``covariance`` is that of the values at their own time, each in its own unit: its diagonal is ``sigma``².
     ``scatter`` is the part of it that scatters, with ``sigma_random``² on its diagonal. ``factors`` (n,)
     convert these units to those that are published (``Quantities.joint``). ``vibration``, ``rate`` and
-    ``acceleration`` are correlations of the three parts of the quantities' motion.
+    ``acceleration`` are products of the quantities' motions, of which only the correlations count. None: not
+    known.
     """
 
     keys: tuple[str, ...]
@@ -32,20 +36,15 @@ class Joint:
 
     def published(self, covariance: FloatArray) -> FloatArray:
         """Return a covariance of ``keys`` in the published units."""
-        return covariance * np.outer(self.factors, self.factors)
+        return covariance * (self.factors[:, None] * self.factors)
 
     def at(self, motions: Mapping[str, Motion], age_s: float | None) -> FloatArray | None:
         """Return the covariance in the published units, ``age_s`` after the values' time; None: not known.
 
         Without ``age_s`` it is that of the values at their own time.
         """
-        since = np.zeros_like(self.covariance)
-        if age_s is not None:
-            found = self.since(motions, max(age_s, 0.0))
-            if found is None:
-                return None
-            since = found
-        return self.published(self.covariance + since)
+        since = 0.0 if age_s is None else self.since(motions, max(age_s, 0.0))
+        return None if since is None else self.published(self.covariance + since)
 
     def with_motion(self, motions: Mapping[str, Motion]) -> Joint | None:
         """Return the joint uncertainty of values whose sigma includes the motion at their own time."""
@@ -66,16 +65,21 @@ class Joint:
         return None if own is None else then - own
 
     def _products(self, parts: Sequence[tuple[float, ...] | None]) -> FloatArray | None:
-        correlations = (self.vibration, self.rate, self.acceleration, np.ones_like(self.covariance))
-        of_parts = np.array([each for each in parts if each is not None]).T
-        if of_parts.shape != (len(correlations), len(self.keys)):
+        known = [each for each in parts if each is not None]
+        if self._correlations is None or len(known) < len(self.keys):
             return None
-        total: FloatArray = np.zeros_like(self.covariance)
-        for correlation, part in zip(correlations, of_parts, strict=True):
-            if correlation is None:
-                return None
-            total += correlation * np.outer(part, part)
+        of_keys = np.array(known)
+        total: FloatArray = np.einsum("kij,ik,jk->ij", self._correlations, of_keys, of_keys)
         return total
+
+    @cached_property
+    def _correlations(self) -> FloatArray | None:
+        """Correlations (4, n, n) of vibration, rate, acceleration and onset: only a reader pays for them."""
+        if self.vibration is None or self.rate is None or self.acceleration is None:
+            return None
+        vibration = correlation_of(self.vibration, is_estimate=True)
+        of_rates = map(correlation_of, (self.rate, self.acceleration))
+        return np.array([vibration, *of_rates, np.ones_like(self.covariance)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,20 +101,47 @@ class Linear:
         return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
 
 
-def correlation_of(products: FloatArray) -> FloatArray:
-    """Return the correlations (n, n) of a matrix of mean products; quantities without any have none.
+def correlation_of(products: FloatArray, is_estimate: bool = False) -> Rows:
+    """Return the correlations (n, n) of a matrix of products; quantities without any have none.
 
-    An estimate with negative eigenvalues is replaced by the nearest one without (Higham, Linear Algebra
-    Appl. 103, 1988, theorem 2.1). Products that are not finite give NaN.
+    Negative eigenvalues, which only an estimate may have, are removed: the result is that of the nearest
+    matrix without (Higham, Linear Algebra Appl. 103, 1988, theorem 2.1). Products that are not finite give
+    NaN.
     """
-    if not np.isfinite(products).all():
-        return np.full_like(products, np.nan)
-    scale = np.sqrt(np.maximum(np.diag(products), 0.0))
-    usable = np.where(scale > 0.0, scale, np.inf)
-    weights, vectors = np.linalg.eigh(products / np.outer(usable, usable))
-    nearest = (vectors * np.maximum(weights, 0.0)) @ vectors.T
-    scale = np.sqrt(np.diag(nearest))
-    usable = np.where(scale > 0.0, scale, np.inf)
-    correlation: FloatArray = nearest / np.outer(usable, usable)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation
+    rows: Rows = products.tolist()
+    if not math.isfinite(sum(map(sum, rows))):
+        return [[math.nan] * len(rows)] * len(rows)
+    correlation = _scaled(rows)
+    if not is_estimate or is_definite(correlation, [0.0] * len(rows)):
+        return correlation
+    weights, vectors = np.linalg.eigh(correlation)
+    return _scaled(((vectors * np.maximum(weights, 0.0)) @ vectors.T).tolist())
+
+
+def is_definite(rows: Rows, slack: Sequence[float]) -> bool:
+    """Return whether a symmetric matrix (n, n) is positive definite with ``slack`` (n,) on its diagonal.
+
+    All pivots of its elimination are positive then. For few quantities floats are faster than numpy.
+    """
+    left = [[*row] for row in rows]
+    for at, row in enumerate(left):
+        pivot = row[at] + slack[at]
+        if not pivot > 0.0:
+            return False
+        for below in left[at + 1 :]:
+            share = below[at] / pivot
+            for column in range(at + 1, len(rows)):
+                below[column] -= share * row[column]
+    return True
+
+
+def _scaled(rows: Rows) -> Rows:
+    """Return a matrix of products divided by the roots of its diagonal; infinity for those not positive."""
+    scale = [math.sqrt(row[at]) if row[at] > 0.0 else math.inf for at, row in enumerate(rows)]
+    scaled = [
+        [each / (one * other) for each, other in zip(row, scale, strict=True)]
+        for row, one in zip(rows, scale, strict=True)
+    ]
+    for at, row in enumerate(scaled):
+        row[at] = 1.0
+    return scaled

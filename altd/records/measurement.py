@@ -236,18 +236,18 @@ class Measurement:
         ``age_s`` is as in ``sigma_at``; without it, the covariance is that of the values at their own time.
         Roll is the reading of another sensor, whose errors are independent of the beam's.
         """
-        size, joint = len(self.quantities.joint), self.joint
+        of_beam = None if self.joint is None else self.joint.at(self.motions, age_s)
+        if "roll_mm_per_m" not in self.quantities.joint:
+            return of_beam
+        size, of_roll = len(self.quantities.joint), self.known("roll_deg")
         covariance = np.full((size, size), np.nan)
-        if joint is not None:
-            of_beam = joint.at(self.motions, age_s)
-            if of_beam is not None:
-                covariance[: len(joint.keys), : len(joint.keys)] = of_beam
-        of_roll = self.known("roll_deg") if "roll_mm_per_m" in self.quantities.joint else None
+        if of_beam is not None:
+            covariance[: len(of_beam), : len(of_beam)] = of_beam
         if of_roll is not None and of_roll.sigma is not None:
             covariance[-1, :-1] = covariance[:-1, -1] = 0.0 * np.diag(covariance)[:-1]
             per_deg = 1000.0 * math.radians(1.0) / math.cos(math.radians(of_roll.value)) ** 2
             covariance[-1, -1] = (per_deg * of_roll.sigma) ** 2
-        return None if np.isnan(np.diag(covariance)).all() else covariance
+        return None if np.isnan(covariance.diagonal()).all() else covariance
 
 
 def utc_text(time: datetime) -> str:

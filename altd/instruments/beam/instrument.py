@@ -35,7 +35,7 @@ from altd.records import (
     TargetPoint,
     Value,
 )
-from altd.records.joint import Joint, correlation_of
+from altd.records.joint import Joint
 from altd.records.spots import Motion, SpotMotion
 
 QUANTITIES = Quantities(
@@ -235,7 +235,7 @@ class BeamInstrument:
             gain, _ = line_gain(z_mm, covariance, plane_mm, per_slope)
             by_px = derivatives @ gain @ joint_jacobian_mm_per_px(points)
             motions = beam_motions(mean.motion, by_px)
-            vibration = correlation_of(by_px @ mean.motion.vibration_px2 @ by_px.T)
+            vibration = by_px @ mean.motion.vibration_px2 @ by_px.T
         return Solution(
             values_of(published),
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
