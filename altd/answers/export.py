@@ -48,6 +48,7 @@ def answer(
 def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
     """The columns of a table of measurements, or of summaries."""
     if every == "measurement":
+        with_sigma = [stored for stored in reader.recorded.values() if "sigma" in stored.parts]
         return (
             Column("id", Type.WHOLE, "", "increases over restarts, unique in a file"),
             Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
@@ -56,14 +57,8 @@ def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
             Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
             text("status", "reasons and warnings, codes with a space between them"),
             *(_of(stored, "", "value of") for stored in reader.recorded.values()),
-            *(
-                _of(stored, "sigma_", "combined standard uncertainty of")
-                for stored in reader.recorded.values()
-            ),
-            *(
-                _of(stored, "sigma_random_", "scattering part of sigma of")
-                for stored in reader.recorded.values()
-            ),
+            *(_of(stored, "sigma_", "combined standard uncertainty of") for stored in with_sigma),
+            *(_of(stored, "sigma_random_", "scattering part of sigma of") for stored in with_sigma),
             _EPOCH,
         )
     kinds = {

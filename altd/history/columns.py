@@ -1,7 +1,8 @@
 """Columns of the history and their storage in its file.
 
 A column is named after its quantity's number in the file, never after its key. NULL means not known. SQLite
-stores a whole number in as many bytes as it needs: 110 mm in steps of 0.0001 mm takes three, a sigma one.
+stores a whole number in as many bytes as it needs: 110 mm in steps of 0.0001 mm takes three, a sigma one, a
+correlation two.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from altd.history.schema import (
     MAX_COLUMNS,
@@ -20,18 +22,19 @@ from altd.history.schema import (
     UnusableFileError,
     column_name,
 )
-from altd.records import Quantities, Quantity
+from altd.records import Measurement, Quantities, Quantity
 
+_CORRELATION_DECIMALS = 4
 _MAX_UNITS = 2**53
 """Limit of exact whole numbers in a float; no quantity of a unit comes near it."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredColumn:
-    """A quantity as stored in a file.
+    """A quantity as stored in a file, or the correlation of the errors of two.
 
     ``key`` is the key of a unit's quantity, or ``TARGET.KEY``. ``is_summarised``: the summaries contain it
-    too; ``is_from_sensor``: it may be known while the measurement is invalid.
+    too; ``is_from_sensor``: it may be known while the measurement is invalid. A correlation has no unit.
     """
 
     key: str
@@ -46,6 +49,11 @@ class StoredColumn:
         """Key, unit and decimals; a change of any of them changes the meaning of the stored numbers."""
         return self.key, self.unit, self.decimals
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Parts of a measurement that are stored: a correlation has no sigma."""
+        return MEASUREMENT_PARTS if self.unit else MEASUREMENT_PARTS[:1]
+
     def steps(self, value: float | None) -> int | None:
         """Return a value as a whole number of steps of its last decimal; None: not known or not finite."""
         if value is None or not math.isfinite(value):
@@ -59,17 +67,42 @@ class StoredColumn:
 
 
 def columns_of(quantities: Quantities, targets: Iterable[str]) -> tuple[StoredColumn, ...]:
-    """Return the columns of a unit: all of its quantities, then those of its targets.
+    """Return the columns of a unit: all of its quantities, those of its targets, then the correlations.
 
     Summaries contain the displayed quantities: no repetition in another unit and no quantity of a sensor that
-    is not fitted.
+    is not fitted. The covariance follows from correlations and sigmas; roll has no correlation with others.
     """
     shown = {quantity.key for quantity in quantities.shown}
     of_unit = [_column(quantity, "", quantity.key in shown) for quantity in quantities.of_unit]
     of_targets = [
         _column(quantity, f"{target}.", False) for target in targets for quantity in quantities.of_target
     ]
-    return (*of_unit, *of_targets)
+    by_key = {quantity.key: quantity for quantity in quantities.of_unit}
+    joint = [by_key[key].is_also or key for key in quantities.joint if key in by_key]
+    of_pairs = [_correlation(*pair) for pair in combinations(joint, 2)]
+    return (*of_unit, *of_targets, *of_pairs)
+
+
+def _correlation(one: str, other: str) -> StoredColumn:
+    label = f"correlation of {one} and {other}"
+    return StoredColumn(_pair_key(one, other), "", _CORRELATION_DECIMALS, label, False, False)
+
+
+def correlations_of(measurement: Measurement) -> dict[str, float]:
+    """Return the correlations of a measurement's errors by the keys of their columns; empty if not known."""
+    if (joint := measurement.joint) is None:
+        return {}
+    rows = joint.covariance.tolist()
+    return {
+        _pair_key(joint.keys[one], joint.keys[other]): (
+            rows[one][other] / math.sqrt(rows[one][one] * rows[other][other])
+        )
+        for one, other in combinations(range(len(rows)), 2)
+    }
+
+
+def _pair_key(one: str, other: str) -> str:
+    return f"correlation_{one}_{other}"
 
 
 def _column(quantity: Quantity, prefix: str, is_summarised: bool) -> StoredColumn:
@@ -107,7 +140,7 @@ def prepare_columns(connection: sqlite3.Connection, columns: Sequence[StoredColu
             next_number += 1
             if number >= MAX_COLUMNS:
                 raise UnusableFileError(f"has {MAX_COLUMNS} quantities already, and no room for more")
-            _add(connection, "measurements", MEASUREMENT_PARTS, number)
+            _add(connection, "measurements", column.parts, number)
         if column.is_summarised and not was_summarised:
             for table in SUMMARIES:
                 _add(connection, table.name, SUMMARY_PARTS, number)

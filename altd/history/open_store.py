@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-from altd.history.columns import StoredColumn, prepare_columns
+from altd.history.columns import StoredColumn, correlations_of, prepare_columns
 from altd.history.facts import Epochs, Reasons, changed_facts
 from altd.history.opening import is_damage, touched, transaction
 from altd.history.records import (
@@ -27,7 +27,6 @@ from altd.history.records import (
 )
 from altd.history.retention import Retention
 from altd.history.schema import (
-    MEASUREMENT_PARTS,
     SECONDS,
     SUMMARIES,
     TouchedFileError,
@@ -208,7 +207,8 @@ class OpenStore:
 
     def _set_up_columns(self) -> None:
         numbers = prepare_columns(self._connection, self._about.columns)
-        names = [column_name(part, number) for number in numbers for part in MEASUREMENT_PARTS]
+        named = zip(self._about.columns, numbers, strict=True)
+        names = [column_name(part, number) for column, number in named for part in column.parts]
         fields = ["epoch", "t_us", "sequence", "t_ns", "frames", "valid", "status", *names]
         places = ", ".join("?" * len(fields))
         self._insert = f"INSERT INTO measurements ({', '.join(fields)}) VALUES ({places})"  # noqa: S608
@@ -251,10 +251,14 @@ class OpenStore:
 
     def _row(self, measurement: Measurement, t_us: int) -> list[object]:
         numbers: list[int | None] = []
+        correlations = correlations_of(measurement)
         for column in self._about.columns:
+            if column.key in correlations:
+                numbers.append(column.steps(correlations[column.key]))
+                continue
             known = measurement.known_of(column.key)
             parts = (None, None, None) if known is None else (known.value, known.sigma, known.sigma_random)
-            numbers += map(column.steps, parts)
+            numbers += map(column.steps, parts[: len(column.parts)])
         status = " ".join(map(str, measurement.status)) or None
         about = [self.epochs.number, t_us, measurement.sequence, measurement.t_ns, measurement.frames]
         return [*about, measurement.valid, status, *numbers]

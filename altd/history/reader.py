@@ -222,7 +222,7 @@ class Reader:
             after = _further(rows[-1][0], after)
 
     def _measurements(self, where: str, values: Sequence[object]) -> list[StoredMeasurement]:
-        names = [column_name(part, number) for number in self._columns for part in MEASUREMENT_PARTS]
+        names = [column_name(part, number) for number, each in self._columns.items() for part in each.parts]
         fields = ["id", "epoch", "t_us", "sequence", "t_ns", "frames", "valid", "status", *names]
         sql = f"SELECT {', '.join(fields)} FROM measurements WHERE {where}"  # noqa: S608
         return [self._measurement(row) for row in self.rows(sql, values)]
@@ -230,13 +230,12 @@ class Reader:
     def _measurement(self, row: Sequence[Any]) -> StoredMeasurement:
         number, epoch, t_us, sequence, t_ns, frames, valid = _whole(row[:7], "measurements")
         status = tuple(row[7].split()) if isinstance(row[7], str) else ()
-        columns = list(self._columns.values())
-        parts: list[dict[str, float]] = [{} for _ in MEASUREMENT_PARTS]
-        for place, known in enumerate(row[8:]):
+        of_part: dict[str, dict[str, float]] = {part: {} for part in MEASUREMENT_PARTS}
+        places = ((column, part) for column in self._columns.values() for part in column.parts)
+        for (column, part), known in zip(places, row[8:], strict=True):
             if known is not None:
-                at, part = divmod(place, len(MEASUREMENT_PARTS))
-                column = columns[at]
-                parts[part][column.key] = _number(column, known)
+                of_part[part][column.key] = _number(column, known)
+        parts = of_part.values()
         return StoredMeasurement(number, epoch, t_us, sequence, t_ns, frames, bool(valid), status, *parts)
 
     def _summary(

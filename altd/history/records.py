@@ -17,7 +17,7 @@ class StoredMeasurement:
 
     ``id`` increases across restarts and is never reused in one file. ``values`` and ``sigmas`` are by the
     keys of quantities, those of a target as ``TARGET.KEY``; ``randoms`` are the random parts of ``sigmas``.
-    ``t_ns`` is the monotonic time of its daemon.
+    ``values`` also has the correlations (``correlations_of``). ``t_ns`` is the monotonic time of its daemon.
     """
 
     id: int

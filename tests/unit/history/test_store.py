@@ -1,9 +1,11 @@
 """The history holds the measurements: hand-made ones, read back through the reader and by SQL."""
 
+import itertools
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.history import (
     ABOUT,
@@ -21,12 +23,15 @@ from support.history import (
     write_seconds,
 )
 
+from altd.answers import export
 from altd.history.columns import columns_of
 from altd.history.reader import Reader
 from altd.history.records import About, ClockSet, Sample
 from altd.history.schema import HOURS, MINUTES, SECONDS
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.instruments.beam.solver import KEYS
 from altd.reasons import Reason
+from altd.records.joint import Joint
 from altd.records.sensors import Quality, SensorValue
 from altd.status.event_log import EventKind
 
@@ -157,6 +162,30 @@ def test_roll_of_a_sensor_is_kept_while_the_beam_is_lost(tmp_path: Path) -> None
         (point,) = reader.trend(START_S * US, (START_S + 10) * US, 10).points
     assert (row.n_valid, row.values["roll_deg"].mean, row.values["roll_deg"].sigma) == (0, 1.25, 0.01)
     assert point.values == row.values
+
+
+def test_the_covariance_follows_from_sigmas_and_correlations(tmp_path: Path) -> None:
+    """A unit of an older program stores them from its next start on; roll has none."""
+    before = store(tmp_path, About([each for each in ABOUT.columns if each.unit]))
+    before.write(batch(START_S + 2, [sample(START_S)]))
+    before.end(None)
+    sigmas = np.array([0.004, 0.004, 0.0011, 0.0011])
+    correlation = np.eye(4)
+    correlation[[0, 2], [2, 0]], correlation[[1, 3], [3, 1]] = -0.8642, -0.8317
+    covariance = correlation * np.outer(sigmas, sigmas)
+    joint = Joint(KEYS, covariance, covariance / 4, np.ones(4))
+    after = store(tmp_path, About(columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear"))))
+    after.write(batch(START_S + 9, [Sample((START_S + 8) * US, replace(at(START_S + 8), joint=joint))]))
+    after.end(None)
+    with read(tmp_path) as reader:
+        old, new = reader.measurements_after(0, 9)
+        columns = {column.name for column in export.columns_of(reader, "measurement")}
+    assert not any(key.startswith("correlation") for key in old.values)
+    for (row, one), (column, other) in itertools.combinations(enumerate(KEYS), 2):
+        stored = new.values[f"correlation_{one}_{other}"] * new.sigmas[one] * new.sigmas[other]
+        assert stored == pytest.approx(covariance[row, column])
+    assert {name for name in columns if "correlation" in name} == set(new.values) - set(old.values)
+    assert len(set(new.values) - set(old.values)) == 6
 
 
 def test_a_sensor_that_is_fitted_later_gets_its_columns_and_what_was_before_stays(tmp_path: Path) -> None:
