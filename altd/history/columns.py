@@ -94,10 +94,9 @@ def correlations_of(measurement: Measurement) -> dict[str, float]:
         return {}
     rows = joint.covariance.tolist()
     return {
-        _pair_key(joint.keys[one], joint.keys[other]): (
-            rows[one][other] / math.sqrt(rows[one][one] * rows[other][other])
-        )
+        _pair_key(joint.keys[one], joint.keys[other]): rows[one][other] / scale
         for one, other in combinations(range(len(rows)), 2)
+        if (scale := math.sqrt(max(rows[one][one] * rows[other][other], 0.0))) > 0.0
     }
 
 
