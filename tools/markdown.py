@@ -1,7 +1,8 @@
-"""Check the Markdown pages: lines of at most 120 characters, and whole tables.
+"""Check the Markdown pages: lines of at most 120 characters, whole tables, and links to files that exist.
 
 ``python -m tools.markdown FILE…`` lists the lines that violate this; with ``--wrap`` it wraps long lines.
-Tables, code and headings are ignored, and only the text of a link counts.
+Tables, code and headings may be longer, and only the text of a link counts. The strict build of the site checks
+the anchors.
 """
 
 import re
@@ -17,6 +18,9 @@ _MARK = re.compile(rf"(?:{_ITEM.pattern})?\s*")
 _WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
 """Text that is never broken: a link, inline code or a word, with adjoining characters up to a blank."""
 _LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
+_LINKED_FILE = re.compile(r"(?<=\]\()(?!\w+:|#)([^)\s#]+)")
+"""Path of a link or a picture, without its anchor; no address on the network, no anchor alone."""
+_INLINE_CODE = re.compile(r"`[^`]*`")
 _FENCE = "```"
 _TABLE_RULE = re.compile(r"\|(?: *:?-+:? *\|)+$")
 _LITERAL = ("|", "#", "<!--", ">", _FENCE)
@@ -55,6 +59,16 @@ def table_faults(page: str) -> Iterator[tuple[int, str]]:
         if is_below and not is_row and line.strip() and not is_fenced:
             yield number, "text directly below a table"
         before = line
+
+
+def dead_links(page: str, folder: Path) -> Iterator[tuple[int, str]]:
+    """Yield number, from 1, and target of links to files that do not exist, relative to the page's folder."""
+    is_fenced = False
+    for number, line in enumerate(page.split("\n"), 1):
+        is_fenced ^= line.startswith(_FENCE)
+        for target in [] if is_fenced else _LINKED_FILE.findall(_INLINE_CODE.sub("", line)):
+            if not (folder / target).exists():
+                yield number, target
 
 
 def _blocks(lines: Iterable[str]) -> Iterator[tuple[bool, list[str]]]:
@@ -110,6 +124,8 @@ def _check(paths: Iterable[str]) -> int:
         page = Path(path).read_text()
         faults += [f"{path}:{number}: longer than {MAX_LETTERS} characters" for number in long_lines(page)]
         faults += [f"{path}:{number}: {fault}" for number, fault in table_faults(page)]
+        dead = dead_links(page, Path(path).parent)
+        faults += [f"{path}:{number}: links to {target}, which does not exist" for number, target in dead]
     for fault in faults:
         print(fault, file=sys.stderr)
     return int(bool(faults))

@@ -76,3 +76,21 @@ def test_broken_tables_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
         f"{page}:12: text directly below a table",
         f"{page}:13: a table row without a heading",
     ]
+
+
+def test_links_to_files_that_do_not_exist_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "docs" / "page.md"
+    page.parent.mkdir()
+    (tmp_path / "there.py").touch()
+    good = "[a](../there.py), [b](page.md#anchor), [c](#anchor), [d](https://example.org/x), `[e](gone.md)`\n"
+    page.write_text(f"{good}\n```\n[f](gone.md)\n```\n")
+    assert main([str(page)]) == 0
+    page.write_text(f"{good}\n| [a](../gone.py) | ![b](gone.svg) |\n|---|---|\n\n- [c](gone.md#anchor)\n")
+    assert main([str(page)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"{page}:3: links to ../gone.py, which does not exist",
+        f"{page}:3: links to gone.svg, which does not exist",
+        f"{page}:6: links to gone.md, which does not exist",
+    ]
