@@ -1,8 +1,8 @@
 """Check the Markdown pages: lines of at most 120 characters, whole tables, and links to files that exist.
 
 ``python -m tools.markdown FILE…`` lists the lines that violate this; with ``--wrap`` it wraps long lines.
-Tables, code and headings may be longer, and only the text of a link counts. The strict build of the site checks
-the anchors.
+Tables, code and headings may be longer, and only the text of a link counts. The strict build of the site
+checks the anchors.
 """
 
 import re
