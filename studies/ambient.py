@@ -37,6 +37,7 @@ def run(progress: Progress) -> Result:
         thesis_source=(
             "App. A.1, a specification without a test: stray light to 1000 lx, ±1 mm, ±1 mm/m (0.0573°)"
         ),
+        differs="the light is that behind the filter, without reflections",
         columns=COLUMNS,
         rows=rows(ordinary, harder, lambda point: point.value == SPECIFIED_LUX),
         headline=(

@@ -88,6 +88,7 @@ def run(progress: Progress) -> Result:
     return Result(
         of="frames",
         thesis_source="App. A.4 and ch. 5: up to 20 frames a second are averaged; not tested under vibration",
+        differs="the vibration is an assumption, without blur within an exposure",
         columns=tuple(
             Column(name, digits, judged=False)
             for name, digits in (

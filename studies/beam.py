@@ -111,7 +111,11 @@ def run(progress: Progress) -> Result:
     narrow = [_angle_deg(of["Filter"]["10 nm, 0 mrad"]) for of in groups.values()]
     return Result(
         of="case",
-        thesis_source="App. A.1, a specification without a test: ±1 mm, ±1 mm/m (0.0573°)",
+        thesis_source="App. A.1, a specification without a test: ±1 mm, ±1 mm/m (0.0573°); laser of App. A.2",
+        differs=(
+            "all light has 650 nm, in App. A.1 600 to 700 nm; the filters pass 25 and 10 nm, in App. A.2 "
+            "and A.3 11 and 15 nm"
+        ),
         columns=COLUMNS,
         rows=tuple(
             Row(case + ending, groups[ending][group][case], SPECIFIED)

@@ -77,7 +77,8 @@ def run(progress: Progress) -> Result:
     still, drifts = [line.ours[0] or 0.0 for line in lines[:3]], [line.ours[0] or 0.0 for line in lines[3:]]
     return Result(
         of="row",
-        thesis_source="chapter 4 proposes such a row and gives no figures",
+        thesis_source="chapter 4, Figs. 4.2 and 4.3, proposes such a row and gives no figures",
+        differs="the glasses are simulated, the air between them is not",
         columns=COLUMNS,
         rows=tuple(lines),
         headline=(

@@ -107,6 +107,10 @@ def run(progress: Progress) -> Result:
     return Result(
         of="frame",
         thesis_source="Sec. 3.4, Fig. 3.17, a plot without numbers; required ±0.05° (D = 280 mm, ΔT = 50 K)",
+        differs=(
+            "figures in place of the plot, with expansions from a handbook; a simulated unit measures "
+            "the change too"
+        ),
         columns=tuple(
             Column(name, digits, judged=False)
             for name, digits in (

@@ -64,7 +64,12 @@ def run(progress: Progress) -> Result:
     )
     return Result(
         of="grid, degree on both axes",
-        thesis_source="Figs. 3.19 and 3.20 (pictures without numbers), Eqs. 3.43–3.58, App. A.4",
+        thesis_source="Sec. 3.5.6, Figs. 3.19 and 3.20 (pictures without numbers), Eqs. 3.43–3.53, App. A.4",
+        differs=(
+            "the thesis chooses the degree by this covariance against the misfit, altd by "
+            "cross-validation ([decision 4](../decisions/0004-measuring.md)); the two choices are not "
+            "compared"
+        ),
         columns=(
             Column("(d + 1)² / nodes", judged=False),
             Column("mean variance", judged=False),

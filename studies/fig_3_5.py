@@ -99,6 +99,7 @@ def run(progress: Progress) -> Result:
         thesis_source=(
             "Sec. 3.2.1, Fig. 3.5 (Monte Carlo, 10 000 iterations, D = 280 mm, σ = 0.1 mm on both targets)"
         ),
+        differs="the closed form and the sigma that altd states are added",
         columns=(
             Column("σ of yaw, °", 4, judged=False),
             Column("σ of pitch, °", 4, judged=False),

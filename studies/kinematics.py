@@ -81,7 +81,13 @@ def run(progress: Progress) -> Result:
     orientations = ", ".join(f"{angle:.4f}°" for angle in sorted(parallel_orientations_deg(machine)))
     return Result(
         of="orientation, singular in the thesis",
-        thesis_source="Fig. 2.11, Eqs. 2.34–2.36 and 2.64; no dimensions are printed",
+        thesis_source=(
+            "Sec. 2.3.2–2.3.5 and 2.4.4, Fig. 2.11, Eqs. 2.34–2.36, 2.60–2.64; no dimensions are printed"
+        ),
+        differs=(
+            "the joints use their whole rails, in the thesis a range that limits φ to −48.5° … +62°; the "
+            "six surfaces are not drawn (Fig. 2.10), the reguli not computed (Eqs. 2.25–2.27)"
+        ),
         columns=(
             Column("turn to the next parallel rail and edge, °", 4, judged=False),
             Column("workspace there, mm²", 1, judged=False),

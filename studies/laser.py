@@ -44,6 +44,7 @@ def run(progress: Progress) -> Result:
     return Result(
         of="laser",
         thesis_source="App. A.1, a specification without a test: 1 to 5 mW, ±1 mm, ±1 mm/m (0.0573°)",
+        differs="one beam of 12 × 11 mm and 650 nm with five powers",
         columns=COLUMNS,
         rows=rows(*both, lambda _point: True),
         headline=(

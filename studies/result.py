@@ -32,7 +32,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """``of`` heads the rows' names; ``thesis_source`` is the table or figure that their values are from.
+    """``of`` heads the rows' names; ``thesis_source`` is the section, table or figure that is answered.
 
     ``headline`` is one sentence, ``text`` Markdown paragraphs, ``caption`` says what the figure shows.
     """
@@ -45,6 +45,8 @@ class Result:
     text: str
     figure: Figure
     caption: str
+    differs: str = ""
+    """Differences from the thesis' experiment, as clauses without a full stop; empty if it has none."""
     beside: str = "thesis"
     """The reference of our value: the thesis' measurement, or its specification."""
 

@@ -33,9 +33,9 @@ INDEX = """\
 This page lists the studies: experiments of the thesis on simulated parts, and measurements of altd itself.
 
 Each study of the table repeats an experiment with simulated parts (`hw_sim`) and altd's own commands, and
-compares its figures with those of the thesis. `make studies` runs all and writes these pages;
-`python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the same
-pages, and `make studies-check` fails if a page differs from what the code prints.
+compares its figures with those of the thesis ([all its items](../source.md)). `make studies` runs all and
+writes these pages; `python -m studies NAME` runs one and prints its table. All seeds are fixed: the same
+code gives the same pages, and `make studies-check` fails if a page differs from what the code prints.
 
 The parts are simulated, with lenses, print, speckle, noise and stage errors. Rows that end with *hard* are
 from the [harder simulator](../decisions/0005-simulator.md). Each page names what is worse than in the thesis,
@@ -91,6 +91,7 @@ def page(name: str, title: str, question: str, result: Result) -> str:
         result.headline,
         f"*{question}*",
         f"Thesis: {result.thesis_source}.",
+        f"Different here: {result.differs}." if result.differs else "",
         table(result).rstrip(),
         verdict(result),
         f"![{title}]({name}.svg)",

@@ -157,7 +157,8 @@ def run(progress: Progress) -> Result:
     ]
     return Result(
         of="unit",
-        thesis_source="chapter 4 proposes it and gives no figures",
+        thesis_source="ch. 5, future work 1, proposes it and gives no figures",
+        differs="the glass is simulated; it has no print, unlike the window it is compared with",
         columns=COLUMNS,
         rows=tuple(lines),
         headline=(

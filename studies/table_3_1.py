@@ -144,7 +144,13 @@ def run(progress: Progress) -> Result:
     )
     return Result(
         of="dots, mm",
-        thesis_source="Table 3.1, Fig. 3.9–3.11 (50 displacements over the whole target)",
+        thesis_source=(
+            "Sec. 3.3.1 and 3.3.3, Table 3.1, Fig. 3.8–3.11 (50 displacements over the whole target)"
+        ),
+        differs=(
+            "the orthogonal print is an even one; milky glass (Fig. 3.7) is not tried; two finer prints "
+            "are added"
+        ),
         columns=(
             Column("displacement σ, mm"),
             Column("repeated x σ, mm"),

@@ -91,6 +91,13 @@ def test_a_page_holds_table_plot_and_text() -> None:
     assert "\none two\n\nthree\n" in text
 
 
+def test_a_page_states_how_its_study_differs_from_the_thesis() -> None:
+    same = result(Row("a", (0.1, 3)))
+    assert "Different here" not in page("one", "One", "Is it?", same)
+    other = page("one", "One", "Is it?", replace(same, differs="one lens, not four"))
+    assert f"\nThesis: {same.thesis_source}.\n\nDifferent here: one lens, not four.\n" in other
+
+
 def test_a_plot_has_no_date_and_changes_with_what_it_shows() -> None:
     figures = []
     for height in (1.0, 2.0, 1.0):
