@@ -149,7 +149,7 @@ def _fit_with_noise(camera: CameraModel, nodes: Nodes, fiducials: Fiducials | No
         camera = _least_squares(camera, precision, nodes, noise_px, fiducials)
         known = precision
         if fiducials is not None:
-            of_fiducials = fiducials.misfit(camera)[1]
+            of_fiducials = fiducials.slopes(camera)
             known = precision + of_fiducials.T @ of_fiducials
         residuals = _residuals(nodes, camera)
         jacobian = _jacobian(nodes, camera)
@@ -193,26 +193,25 @@ def _least_squares(
 ) -> CameraModel:
     """Take Levenberg and Marquardt's steps from a camera to the one of minimum cost."""
 
-    def residuals_and_cost(candidate: CameraModel) -> tuple[FloatArray, float]:
+    def residuals_and_cost(candidate: CameraModel) -> tuple[tuple[FloatArray, FloatArray], float]:
         residuals = _residuals(nodes, candidate) / noise_px
+        misfit = np.zeros(0) if fiducials is None else fiducials.deviations(candidate)
         prior = candidate.parameters @ precision @ candidate.parameters
-        total = float(np.square(residuals).sum() + prior)
-        if fiducials is not None:
-            total += float(np.square(fiducials.misfit(candidate)[0]).sum())
-        return residuals, total if math.isfinite(total) else math.inf
+        total = float(np.square(residuals).sum() + prior) + float(np.square(misfit).sum())
+        return (residuals, misfit), total if math.isfinite(total) else math.inf
 
-    def normal_equations(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def normal_equations(residuals: FloatArray, misfit: FloatArray) -> tuple[FloatArray, FloatArray]:
         jacobian = _jacobian(nodes, camera) / noise_px
         normal = jacobian.T @ jacobian + precision
         gradient = jacobian.T @ residuals - precision @ camera.parameters
         if fiducials is not None:
-            misfit, of_fiducials = fiducials.misfit(camera)
+            of_fiducials = fiducials.slopes(camera)
             normal += of_fiducials.T @ of_fiducials
             gradient -= of_fiducials.T @ misfit
         return normal, gradient
 
     residuals, now = residuals_and_cost(camera)
-    normal, gradient = normal_equations(residuals)
+    normal, gradient = normal_equations(*residuals)
     damping = 1e-3
     for _ in range(_MAX_ITERATIONS):
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
@@ -223,7 +222,7 @@ def _least_squares(
             camera, now, damping = candidate, then, damping / 10
             if converged:
                 break
-            normal, gradient = normal_equations(residuals)
+            normal, gradient = normal_equations(*residuals)
         else:
             damping *= 10
             if damping > 1e12:

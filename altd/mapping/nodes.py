@@ -56,21 +56,25 @@ class Fiducials:
     regular_mm: FloatArray
     sigma_mm: float
 
-    def misfit(self, camera: CameraModel) -> tuple[FloatArray, FloatArray]:
-        """Return the fiducials' deviations from the best affine map, and their slopes by the parameters.
+    def deviations(self, camera: CameraModel) -> FloatArray:
+        """Return the deviations (2 n,) from the best affine map, in units of sigma; x of all, then y."""
+        deviations: FloatArray = self._without_affine(self._on_plane(camera)).T.ravel() / self.sigma_mm
+        return deviations
 
-        (2 n,) and (2 n, m), both in units of sigma; x of all, then y.
-        """
+    def slopes(self, camera: CameraModel) -> FloatArray:
+        """Return the slopes (2 n, m) of the deviations by the camera's parameters."""
+        mm = self._on_plane(camera)
+        by_parameters = camera.jacobian(mm).reshape(len(mm), 2, -1)
+        moves = -self._unprojected(camera, mm, by_parameters)
+        slopes = self._without_affine(moves.reshape(len(mm), -1)).reshape(moves.shape)
+        return slopes.transpose(1, 0, 2).reshape(2 * len(mm), -1) / self.sigma_mm
+
+    def _on_plane(self, camera: CameraModel) -> FloatArray:
+        """Return the places (n, 2) mm that the camera sees at ``px``."""
         mm = self.regular_mm
         for _ in range(_NEWTON_ITERATIONS):
             mm = mm + self._unprojected(camera, mm, (self.px - camera.to_px(mm))[:, :, None])[:, :, 0]
-        by_parameters = camera.jacobian(mm).reshape(len(mm), 2, -1)
-        moves = -self._unprojected(camera, mm, by_parameters)
-        bent, slopes = self._without_affine(mm), self._without_affine(moves.reshape(len(mm), -1))
-        return (
-            bent.T.ravel() / self.sigma_mm,
-            slopes.reshape(moves.shape).transpose(1, 0, 2).reshape(2 * len(mm), -1) / self.sigma_mm,
-        )
+        return mm
 
     def _without_affine(self, columns: FloatArray) -> FloatArray:
         """Return columns (n, k) without the part that is affine in the regular coordinates."""
