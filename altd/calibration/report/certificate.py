@@ -66,12 +66,19 @@ def conditions(facts: Facts, source: Source, budget: Budget) -> tuple[tuple[str,
     )
 
 
+def second_scan(source: Source) -> str:
+    """Return whether a scan of the turned unit has shown the calibrating beam's tilt."""
+    if any(header.turned_deg for header in source.headers):
+        return "determined by a second scan, of the unit turned by 180°"
+    return "the unit was not scanned turned by 180°"
+
+
 def references(facts: Facts, source: Source) -> tuple[tuple[str, str, str], ...]:
     """Each reference with its standard uncertainty and its traceability, as the user states them."""
     limits, origin = source.calibration.limits, facts.traceability
-    beam = f"{origin.beam or 'not stated: not traceable'}; the unit was not scanned turned by 180°"
-    if any(header.turned_deg for header in source.headers):
-        beam = "determined by a second scan, of the unit turned by 180°"
+    beam = second_scan(source)
+    if not any(header.turned_deg for header in source.headers):
+        beam = f"{origin.beam or 'not stated: not traceable'}; {beam}"
     return tuple(
         (
             name,

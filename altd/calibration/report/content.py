@@ -12,7 +12,7 @@ from altd import __version__
 from altd.calibration.file import file_of
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.budget import Budget, budget_of, budget_section
-from altd.calibration.report.certificate import sections
+from altd.calibration.report.certificate import second_scan, sections
 from altd.calibration.report.certificate_facts import Facts
 from altd.calibration.report.document import (
     Banner,
@@ -200,6 +200,7 @@ def _located(target: TargetCalibration) -> str:
         return {
             "recording": "through a recorded flat",
             "laser": "through a flat made with the laser",
+            "service": "through a flat learnt in service",
             "print": "through a model of the print",
         }[target.flat.source]
     return {
@@ -252,6 +253,7 @@ def _inputs(source: Source, file_sha256: str) -> list[Block]:
         ("SHA-256 of the calibration file", file_sha256),
         ("Command", source.command),
         ("Exposures used", exposures),
+        ("Tilt of the calibrating beam", second_scan(source)),
     ]
     for target in calibration.targets:
         low, high = target.valid_mm.min(axis=0), target.valid_mm.max(axis=0)

@@ -220,3 +220,4 @@ def test_the_inputs_name_cameras_exposure_gain_and_program(page: bytes) -> None:
     of_front = "acA <1>, serial 50-7, driver aravis, exposure 2.5 ms, gain 6 dB; frames: camera"
     assert f"Camera front {of_front}" in text
     assert "Camera rear serial, exposure and gain not known; frames: camera" in text
+    assert "Tilt of the calibrating beam the unit was not scanned turned by 180°" in text
