@@ -15,6 +15,7 @@ from altd.calibration.from_scans import calibrate_scans
 from altd.calibration.recorded_flat import flats_of
 from altd.calibration.result import CalibrationResult, Progress, TargetsResult, cross_check_doubts
 from altd.calibration.scan_nodes import Job, ScanNode, locate_nodes
+from altd.calibration.service_flat import check_service, with_service
 from altd.calibration.target_frames import TargetFrames, target_frames
 from altd.errors import BadInputError
 from altd.mapping.tensor_map import TensorMap
@@ -29,9 +30,11 @@ def calibrate(
     recordings: Sequence[Recording],
     flat: Recording | None = None,
     progress: Progress = lambda done, total: None,
+    service: Recording | None = None,
 ) -> CalibrationResult:
     """Fit the maps of every target in the recordings; ``flat`` is a recording of kind ``flat``.
 
+    From ``service``, a recording of measurements, a flat is learnt if its spots show more than it assumes.
     Raises BadInputError when the recordings are incompatible or one of them is unusable, see
     ``target_frames``, ``calibrate_scans``, ``calibrate_plates`` and ``flats_of``.
     """
@@ -46,7 +49,11 @@ def calibrate(
             raise BadInputError(
                 recording.path, "has a deflected beam: it verifies a calibration, and makes none"
             )
+    if service is not None:
+        check_service(scanned, flats, service)
     of_scans = calibrate_scans(scanned, flats, progress)
+    if service is not None:
+        of_scans = with_service(scanned, of_scans, service, progress)
     limits = _limits(headers)
     celsius = [header.temperature_c for header in headers if header.temperature_c is not None]
     if turned:

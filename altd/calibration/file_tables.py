@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, Self, get_type_hints
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from pydantic import (
     ValidationInfo,
     WrapSerializer,
     create_model,
+    model_validator,
 )
 
 from altd.files.picture import decode_png
@@ -26,7 +27,7 @@ from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import ROUND, Model, TensorMap
 from altd.records import FloatArray, Origin
 from altd.vision.fingerprint import Fingerprint
-from altd.vision.flat import Flat, Source
+from altd.vision.flat import BLOCK_PX, Flat, Learnt, Source
 from altd.vision.hot_pixels import MAX_PIXELS, HotPixels, places_of
 from altd.vision.settings import (
     UNKNOWN_SPOT,
@@ -117,13 +118,15 @@ def png_text(levels: npt.NDArray[np.uint8]) -> str:
     return base64.b64encode(cv2.imencode(".png", levels)[1].tobytes()).decode("ascii")
 
 
-def _levels_of(text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
-    """Decode the grey picture ``png`` of a table."""
+def _levels_of(
+    text: str, width: int, height: int, place: tuple[str, ...] = ("png",)
+) -> npt.NDArray[np.uint8]:
+    """Decode the grey picture at a place of a table."""
     try:
         png = base64.b64decode(text, validate=True)
         return np.asarray(decode_png(png, width, height, bits=8), dtype=np.uint8)
     except ValueError as error:
-        raise complaint((("png",), str(error))) from error
+        raise complaint((place, str(error))) from error
 
 
 _MIN_SHAPE_DETERMINANT = 0.01
@@ -220,10 +223,23 @@ def _map_of(table: MapTable, _: ValidationInfo) -> TensorMap:
 MapInFile = Annotated[TensorMap, held_in(MapTable, TensorMap, _map_of)]
 
 
+class _Learnt(Table):
+    png: Annotated[str, At("share"), PlainSerializer(png_text)]
+    unlearnt_px: PositivePixels
+    diameter_px: Annotated[float, Field(gt=0, le=20_000)]
+
+
 class _Flat(Table):
     source: Source
     origin: Origin = Origin.CAMERA
     png: Annotated[str, At("levels"), PlainSerializer(png_text)]
+    learnt: Annotated[_Learnt | None, At("learnt", or_absent=True)] = None
+
+    @model_validator(mode="after")
+    def _check_learnt(self) -> Self:
+        if (self.source == "service") != (self.learnt is not None):
+            raise complaint((("learnt",), "belongs to source = 'service'"))
+        return self
 
 
 def _flat_of(table: _Flat, info: ValidationInfo) -> Flat | None:
@@ -231,7 +247,12 @@ def _flat_of(table: _Flat, info: ValidationInfo) -> Flat | None:
     if not {"width", "height"} <= info.data.keys():
         return None
     levels = _levels_of(table.png, info.data["width"], info.data["height"])
-    return Flat(levels, table.source, table.origin)
+    learnt = None
+    if table.learnt is not None:
+        rows, columns = (info.data[side] // BLOCK_PX for side in ("height", "width"))
+        share = _levels_of(table.learnt.png, columns, rows, ("learnt", "png"))
+        learnt = Learnt(share, table.learnt.unlearnt_px, table.learnt.diameter_px)
+    return Flat(levels, table.source, table.origin, learnt)
 
 
 FlatInFile = Annotated[Flat, held_in(_Flat, Flat, _flat_of)]

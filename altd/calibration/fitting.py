@@ -173,6 +173,11 @@ def fit_nodes(
     )
 
 
+def best_fit(nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:
+    """Return the best fit of all nodes by any model, without margin, cross-check and search for outliers."""
+    return _fit_families(nodes, image_size, fiducials).best
+
+
 def _suspects(families: _Families) -> dict[int, float]:
     """Find the row farthest from each family's map, and the share of the error that may remain without it.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shap
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
-from altd.calibration.scan_grid import cut_sides, offset_doubts, refuse_ended, relative_sigmas, scan_grid
+from altd.calibration.scan_grid import cut_sides, offset_doubts, refuse_ended, scan_grid, weighted_nodes
 from altd.calibration.scan_nodes import (
     Job,
     ScannedTarget,
@@ -34,13 +35,13 @@ from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.grid import MIN_LINES
 from altd.mapping.inverse import InverseMap
-from altd.mapping.nodes import Fiducials, Nodes
+from altd.mapping.nodes import Fiducials
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
 from altd.vision.settings import UNKNOWN_SPOT, SpotReference, SpotSettings
 
-_PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
+PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _MIN_CORRELATION = 0.5
 """Minimum correlation with a flat: the right one has 0.8 to 1, below 0.5 shifted by 1 px, about 0 by more."""
 _MAX_UNMEASURED_SHARE = 0.25
@@ -62,18 +63,24 @@ class _Made:
     doubts: tuple[str, ...] = ()
     must_agree: bool = False
     """Whether the two localisers must agree, because no print explains a difference."""
+    fiducials: Fiducials | None = None
+    """Of a print that guides the map."""
 
 
 def calibrate_scans(
-    targets: Sequence[TargetFrames], flats: Mapping[str, Flat], progress: Progress
+    targets: Sequence[TargetFrames],
+    flats: Mapping[str, Flat],
+    progress: Progress,
+    fiducials: Mapping[str, Fiducials] = MappingProxyType({}),
 ) -> TargetsResult:
     """Fit the maps of targets from their scans.
 
     Spots are localised through the target's flat. If ``flats`` has none, the scan is searched for a regular
-    print, and the print is modelled. Raises BadInputError when too few nodes have a spot or the nodes are no
+    print, and the print is modelled. ``fiducials`` of such prints guide the maps of targets whose flat was
+    learnt in service. Raises BadInputError when too few nodes have a spot or the nodes are no
     grid.
     """
-    jobs = [Job(frames, _PROFILE, flats.get(frames.name)) for frames in targets]
+    jobs = [Job(frames, PROFILE, flats.get(frames.name), fiducials.get(frames.name)) for frames in targets]
     made = [_calibrate_target(job, progress) for job in jobs]
     references = [_reference(job, of.target) for job, of in zip(jobs, made, strict=True)]
     patterns_px = pattern_noise_px(
@@ -114,6 +121,7 @@ def calibrate_scans(
             *(line for of in evidence for line in _unequal_nodes(of)),
             *(of.remark for of in verdicts),
         ),
+        {of.target.name: of.fiducials for of in made if of.fiducials is not None},
     )
 
 
@@ -158,6 +166,9 @@ def _unmeasured(
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """Calibrate one target through its recorded flat, else the model of its print, else neither."""
+    if job.flat is not None and job.flat.learnt is not None:
+        made = _fit_target(job, locate_nodes(job, progress), job.fiducials)
+        return replace(made, remark=f"{job.name}: localised through a flat learnt in service")
     if job.flat is not None:
         scanned = locate_nodes(job, progress)
         refuse_ended(job, job.flat, scanned.usable)
@@ -195,8 +206,9 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
 def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:
     """Return the target with its camera's identity, origin and fingerprint, and a doubt about the latter."""
     target = made.target
+    flat = None if target.flat is not None and target.flat.learnt is not None else target.flat
     fingerprint, doubt = fingerprint_of(
-        job.frames, target.localiser, target.flat, made.must_agree and target.flat is None
+        job.frames, target.localiser, flat, made.must_agree and target.flat is None
     )
     known = replace(target, camera=job.frames.camera, origin=job.frames.origin, fingerprint=fingerprint)
     return known, None if doubt is None else f"{job.name}: {doubt}"
@@ -224,13 +236,13 @@ def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
 def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
     """Calibrate a target through the model of its print, which also guides the map unless it is bent."""
     flat = replace(found.flat, origin=job.frames.origin)
-    job = replace(job, localiser=_PROFILE, flat=flat)
+    job = replace(job, localiser=PROFILE, flat=flat)
     scanned = locate_nodes(job, progress)
     alone, guided = (_fit_target(job, scanned, fiducials) for fiducials in (None, found.fiducials))
     remark = f"{job.name}: print of {found.lattice.pitch_mm:.3f} mm pitch found and modelled"
     if guided.target.leave_one_out_px > _MAX_FIDUCIAL_COST * alone.target.leave_one_out_px:
         return replace(alone, remark=f"{remark}; it is bent, so it does not guide the map")
-    return replace(guided, remark=remark)
+    return replace(guided, remark=remark, fiducials=found.fiducials)
 
 
 def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -> _Made:
@@ -248,7 +260,7 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
                 why = f"{share} nodes have no spot: {refused[0].complaint}"
             raise BadInputError(place, f"{job.name}: {why}")
         fitted = fit_nodes(
-            Nodes(_positions_mm(nodes), _spots_px(nodes), relative_sigmas(nodes, job.frames.image_size)),
+            weighted_nodes(nodes, job.frames.image_size, None if job.flat is None else job.flat.learnt),
             job.frames.image_size,
             grid.block.most_missing - grid.block.missing,
             fiducials,
@@ -273,11 +285,16 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
 
 
 def _unequal_nodes(evidence: TargetEvidence) -> list[str]:
-    """Describe the nodes that have a lower weight than the others."""
+    """Describe the nodes that have a lower weight than the others, those of equal weight together."""
+    places: dict[float, list[str]] = {}
+    for (x, y), sigma in zip(evidence.nodes_mm.tolist(), evidence.relative_sigma.tolist(), strict=True):
+        if sigma > 1.0:
+            places.setdefault(sigma, []).append(f"x {x:g} y {y:g} mm")
     return [
-        f"{evidence.name} node x {x:g} y {y:g} mm counts by 1/{sigma**2:.1f}: its spot is known worse"
-        for (x, y), sigma in zip(evidence.nodes_mm.tolist(), evidence.relative_sigma.tolist(), strict=True)
-        if sigma > 1.0
+        f"{evidence.name} node {of[0]} counts by 1/{sigma**2:.1f}: its spot is known worse"
+        if len(of) == 1
+        else f"{evidence.name}: {len(of)} nodes count by 1/{sigma**2:.1f}: their spots are known worse"
+        for sigma, of in places.items()
     ]
 
 

@@ -25,13 +25,12 @@ import numpy.typing as npt
 from altd.calibration.fitting import fit_nodes
 from altd.calibration.laser_raster import Exposures, Shot, SpotSums, true_excess
 from altd.calibration.result import Progress
-from altd.calibration.scan_grid import relative_sigmas
+from altd.calibration.scan_grid import weighted_nodes
 from altd.calibration.scan_nodes import Job, first_of_nodes, locate_nodes
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.camera_model import px2_per_mm2
 from altd.mapping.grid import edge_lines
-from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap
 from altd.recording.reader import Recording
 from altd.records import FloatArray, NoSpot
@@ -117,10 +116,7 @@ def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float
     try:
         if not nodes:
             raise ValueError("no node has a spot")
-        positions_mm = np.array([node.position_mm for node in nodes])
-        spots_px = np.array([node.spot_px for node in nodes])
-        sigmas = relative_sigmas(nodes, scan.image_size)
-        fitted = fit_nodes(Nodes(positions_mm, spots_px, sigmas), scan.image_size, 0).fit.map
+        fitted = fit_nodes(weighted_nodes(nodes, scan.image_size), scan.image_size, 0).fit.map
     except ValueError as error:
         raise BadInputError(scan.place, f"{scan.name}: {error}") from error
     diameters_mm = []

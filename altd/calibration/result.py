@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from altd.mapping.grid import Axis
 from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Fiducials
 from altd.mapping.tensor_map import Fit, TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
@@ -176,6 +177,8 @@ class TargetsResult:
     evidence: tuple[TargetEvidence, ...] = ()
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    fiducials: Mapping[str, Fiducials] = field(default_factory=dict)
+    """Of the prints that guide a target's map, by the target's name."""
 
 
 def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import FloatArray, Frame, Spot
 from altd.statistics import MAD_TO_SIGMA
-from altd.vision.flat import Flat
+from altd.vision.flat import Flat, Learnt
 from altd.vision.frame_analysis import FrameAnalysis, Patch
 from altd.vision.localise import fitted_profile, locate_in
 from altd.vision.misfit import hidden_px, misfit_of
@@ -24,6 +24,10 @@ from altd.vision.settings import SpotSettings
 _MAX_SIGMA_RATIO = 1.5
 """Maximum sigma of an ordinary spot over the median: print and speckle do not move a dim spot more."""
 _ITERATIONS = 3
+MIN_LEARNT_SHARE = 0.9
+"""Share of a spot's light on a learnt surface from which its node counts as others do."""
+_UNLEARNT_RATIO = 3.0
+"""Scatter of the other nodes over that of these, in whole drawn units (decision 51)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,29 +67,34 @@ def scan_grid(scanned: ScannedTarget) -> ScanGrid:
     return ScanGrid(axes, GridPart.within(cells, missing), positions_mm[usable])
 
 
-def relative_sigmas(nodes: Sequence[ScanNode], image_size: tuple[int, int]) -> FloatArray:
-    """Scatter of each node (n,) relative to an ordinary one, from the sigmas of its spots.
+def weighted_nodes(
+    nodes: Sequence[ScanNode], image_size: tuple[int, int], learnt: Learnt | None = None
+) -> Nodes:
+    """Return the nodes with their scatter relative to an ordinary one, from the sigmas of their spots.
 
     An ordinary node scatters by the effect of print and speckle on its spot, estimated about a first map. A
-    spot cut by the border of the picture scatters more, by its own sigmas. Raises ValueError when the nodes
-    are too few for a map.
+    spot cut by the border of the picture scatters more, by its own sigmas; one that falls on what a flat has
+    not ``learnt``, three times as much. Raises ValueError when the nodes are too few for a map.
     """
-    sigmas_px = np.array([node.sigma_px for node in nodes])
-    relative = np.ones(len(nodes))
-    uneven = sigmas_px > _MAX_SIGMA_RATIO * np.median(sigmas_px)
-    if not uneven.any():
-        return relative
     places_mm = np.array([node.position_mm for node in nodes])
     places_px = np.array([node.spot_px for node in nodes])
-    hull_mm = convex_hull_mm(places_mm)
-    for _ in range(_ITERATIONS):
-        first = (
-            fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
-            fit_lens_map(Nodes(places_mm, places_px, relative), hull_mm, image_size),
-        )
-        ordinary_px = min(fit.map.noise_px for fit in first)
-        relative = np.where(uneven, np.maximum(sigmas_px / ordinary_px, 1.0), 1.0)
-    return relative
+    sigmas_px = np.array([node.sigma_px for node in nodes])
+    even = np.ones(len(nodes))
+    if learnt is not None:
+        shares = np.array([learnt.of_spot(*node.spot_px) for node in nodes])
+        even = np.where(shares < MIN_LEARNT_SHARE, _UNLEARNT_RATIO, 1.0)
+    relative = even
+    uneven = sigmas_px > _MAX_SIGMA_RATIO * np.median(sigmas_px)
+    if uneven.any():
+        hull_mm = convex_hull_mm(places_mm)
+        for _ in range(_ITERATIONS):
+            first = (
+                fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
+                fit_lens_map(Nodes(places_mm, places_px, relative), hull_mm, image_size),
+            )
+            ordinary_px = min(fit.map.noise_px for fit in first)
+            relative = np.where(uneven, np.maximum(sigmas_px / ordinary_px, even), even)
+    return Nodes(places_mm, places_px, relative)
 
 
 def offset_doubts(job: Job, nodes: Sequence[ScanNode], fitted: TensorMap) -> tuple[str, ...]:

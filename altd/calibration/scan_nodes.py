@@ -11,6 +11,7 @@ import numpy as np
 
 from altd.calibration.result import Progress
 from altd.calibration.target_frames import FrameRow, TargetFrames
+from altd.mapping.nodes import Fiducials
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
@@ -197,6 +198,8 @@ class Job:
     frames: TargetFrames
     localiser: SpotSettings
     flat: Flat | None
+    fiducials: Fiducials | None = None
+    """Of the print, if a flat learnt in service has taken the place of its model."""
 
     @property
     def name(self) -> str:

@@ -43,6 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="recording of kind flat: the targets in even light, or under the laser",
     )
     parser.add_argument(
+        "--service",
+        type=Path,
+        metavar="DIR",
+        help="recording of service with the beam all over the targets: a flat is learnt from its spots",
+    )
+    parser.add_argument(
         "--report",
         type=_report_folder,
         nargs="?",
@@ -97,7 +103,8 @@ def run(options: argparse.Namespace) -> int:
         for line in gap_lines(recording):
             print_errors(f"altd calibrate: {line}")
     flat = None if options.flat is None else open_recording(options.flat)
-    result = calibrate(recordings, flat, progress_on("frames"))
+    service = None if options.service is None else open_recording(options.service)
+    result = calibrate(recordings, flat, progress_on("frames"), service)
     report = {} if options.report is None else _report(options, recordings, result, facts)
     save_calibration(result.calibration, options.output)
     if folder is not None:
@@ -114,7 +121,7 @@ def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) ->
     from altd.calibration.planar_file import save_planar_calibration
     from altd.recording.reader import gap_lines
 
-    for option in ("flat", "report", "certificate"):
+    for option in ("flat", "service", "report", "certificate"):
         if getattr(options, option) is not None:
             raise BadInputError(f"--{option}", "is not made of a recording of kind 'planar'")
     for line in itertools.chain.from_iterable(map(gap_lines, recordings)):
@@ -182,6 +189,7 @@ def _report(
     from altd.calibration.target_frames import target_frames
 
     given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]
+    given += ["--service", options.service] if options.service else []
     given += ["-o", options.output, "--report", *([] if options.report is _BESIDE else [options.report])]
     given += ["--certificate", options.certificate] if options.certificate else []
     command = shlex.join(["altd", "calibrate", *map(str, given)])

@@ -85,6 +85,9 @@ class TargetCalibration:
         point, jacobian, covariance = self.inverse.to_mm(np.array([[u_px, v_px]]))
         if not np.isfinite(point).all():
             return None
+        if self.flat is not None and self.flat.learnt is not None:
+            unknown_px = self.flat.learnt.unknown_px(u_px, v_px)
+            covariance = covariance + unknown_px**2 * jacobian @ jacobian.swapaxes(1, 2)
         return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
 
     def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str | None:

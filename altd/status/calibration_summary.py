@@ -114,7 +114,7 @@ class CalibratedTarget(Answer):
     """Number of frame LEDs with a known position."""
     cross_check: CalibrationCrossCheck
     flat: Annotated[str | None, At("flat.source")]
-    """Source of the response to even light: `recording`, `laser` or `print`; null: treated as plain."""
+    """Source of the response to even light: `recording`, `laser`, `service`, `print`; null: none."""
     fingerprint: CalibrationFingerprint | None
     """Fingerprint of the camera; null: its view cannot be verified."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Self
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from altd.records import FloatArray, Origin
 from altd.vision.image import Image
 
-Source = Literal["recording", "laser", "print"]
+Source = Literal["recording", "laser", "service", "print"]
 
 BLOCK_PX = 4
 """Side of the blocks over which a spot is summed before it is fitted, px."""
@@ -33,26 +34,73 @@ _BRIGHTEST_PERCENT = 99.99
 
 
 @dataclass(frozen=True, eq=False)
+class Learnt:
+    """Learnt part of a flat from service: the share of each block (rows, columns), uint8 from 0 to 255.
+
+    ``unlearnt_px`` is the effect of print and texture on a spot where nothing is learnt, ``diameter_px`` the
+    1/e² diameter of the spots.
+    """
+
+    share: npt.NDArray[np.uint8]
+    unlearnt_px: float
+    diameter_px: float
+
+    @classmethod
+    def of(cls, share: npt.NDArray[np.floating], unlearnt_px: float, diameter_px: float) -> Self:
+        """Return the learnt part of shares from 0 to 1."""
+        levels = np.rint(np.clip(share, 0, 1) * _FULL_SCALE).astype(np.uint8)
+        return cls(levels, unlearnt_px, diameter_px)
+
+    @cached_property
+    def _of_spots(self) -> Image:
+        """Share of a spot's light on learnt blocks, for a spot at each block; none beyond the picture."""
+        share = self.share.astype(np.float32) / np.float32(_FULL_SCALE)
+        sigma = self.diameter_px / 4.0 / BLOCK_PX
+        return np.asarray(cv2.GaussianBlur(share, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+    def of_spot(self, u_px: float, v_px: float) -> float:
+        """Return the share of the light of a spot at (u, v) that falls on learnt blocks."""
+        row, column = (
+            min(max(int(at) // BLOCK_PX, 0), size - 1)
+            for at, size in zip((v_px, u_px), self.share.shape, strict=True)
+        )
+        return min(float(self._of_spots[row, column]), 1.0)
+
+    def unknown_px(self, u_px: float, v_px: float) -> float:
+        """Return the standard deviation of a spot by what is not learnt below it.
+
+        The effects of the surface's parts on a spot are independent: the shares are of the variance.
+        """
+        return self.unlearnt_px * math.sqrt(1.0 - self.of_spot(u_px, v_px))
+
+
+@dataclass(frozen=True, eq=False)
 class Flat:
     """Response F of a target to even light, mean 1: a pixel shows E · F of an irradiance E.
 
     Stored as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as in a calibration file: the
     steps are far below the surface texture. A pixel of 0 is not used. ``source`` is a recording of the evenly
-    lit target, laser spots, or a model of its print; ``origin`` is the origin of their frames.
+    lit target, laser spots at known places or those of ``service``, or a model of its print; ``origin`` is
+    the origin of their frames. ``learnt`` is the part that service showed; None: all of it is known.
     """
 
     levels: npt.NDArray[np.uint8]
     source: Source
     origin: Origin = Origin.CAMERA
+    learnt: Learnt | None = None
 
     @classmethod
     def from_response(
-        cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA
+        cls,
+        response: npt.NDArray[np.floating],
+        source: Source,
+        origin: Origin = Origin.CAMERA,
+        learnt: Learnt | None = None,
     ) -> Self:
         """Return the flat of a response (rows, columns) in any unit; negative values become 0."""
         brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
         levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL_SCALE).astype(np.uint8)
-        return cls(levels, source, origin)
+        return cls(levels, source, origin, learnt)
 
     @cached_property
     def response(self) -> Image:

@@ -298,7 +298,8 @@ def _advice(budget: Budget, targets: Sequence[TargetCalibration]) -> str:
     shares = _shares(budget)
     causes = [cause for cause, share in shares.items() if share >= 1 / 3] or list(shares)[:1]
     words = [_ADVICE[cause] for cause in causes]
-    without = [target.name for target in targets if target.flat is None or target.flat.source == "print"]
+    made = "recording", "laser"
+    without = [of.name for of in targets if of.flat is None or of.flat.source not in made]
     if "pattern" in causes and without:
         words.insert(0, f"record a flat of {' and '.join(without)} and calibrate a scan with it (--flat)")
     return "; ".join(words)

@@ -5,6 +5,7 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Glass, Limits
 from altd.vision.fingerprint import Fingerprint
-from altd.vision.flat import Flat
+from altd.vision.flat import Flat, Learnt
 from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import UNKNOWN_SPOT
 from altd.vision.texture import Texture
@@ -270,9 +271,38 @@ def test_a_damaged_flat_is_refused_with_its_place(with_flat: Path) -> None:
         assert complaint in complaint_of(with_flat, targets), complaint
     targets[0]["flat"] = {"source": "guess", "png": good}
     said = complaint_of(with_flat, targets)
-    assert "targets.0.flat.source: Input should be 'recording', 'laser' or 'print'" in said
+    assert "targets.0.flat.source: Input should be 'recording', 'laser', 'service' or 'print'" in said
     del targets[0]["flat"]
     assert "targets.0.flat: Field required" in complaint_of(with_flat, targets)
+
+
+def test_a_file_keeps_what_a_flat_of_service_has_learnt(calibration: Calibration, tmp_path: Path) -> None:
+    share = np.zeros((120, 188))
+    share[:, :100] = 1.0
+    learnt = Learnt.of(share, 0.5, 30.0)
+    flat = Flat.from_response(np.ones((480, 752)), "service", learnt=learnt)
+    front, rear = calibration.targets
+    file = tmp_path / "service.json"
+    save_calibration(replace(calibration, targets=(replace(front, flat=flat), rear)), file)
+    read, _ = load_calibration(file).targets
+    assert read.flat.learnt.of_spot(200.0, 240.0) == pytest.approx(1.0, abs=0.01)
+    half_a_block = NormalDist(0.0, 30.0 / 4.0).cdf(-2.0)
+    assert read.flat.learnt.of_spot(401.0, 240.0) == pytest.approx(half_a_block, abs=0.01)
+    known, unknown = (front.point(u_px, 240.0).covariance_mm2 for u_px in (200.0, 600.0))
+    assert read.point(200.0, 240.0).covariance_mm2 == pytest.approx(known, abs=1e-6)
+    jacobian = front.point(600.0, 240.0).jacobian_mm_per_px
+    assert read.point(600.0, 240.0).covariance_mm2 == pytest.approx(unknown + 0.25 * jacobian @ jacobian.T)
+
+    targets = json.loads(file.read_text())["targets"]
+    stated = targets[0]["flat"]["learnt"]
+    for wrong, complaint in (
+        (None, "targets.front.flat.learnt: belongs to source = 'service'"),
+        (stated | {"png": targets[0]["flat"]["png"]}, "flat.learnt.png: is 752 × 480, expected 188 × 120"),
+        (stated | {"unlearnt_px": -1.0}, "targets.0.flat.learnt.unlearnt_px: Input should be"),
+        (stated | {"diameter_px": 0.0}, "targets.0.flat.learnt.diameter_px: Input should be"),
+    ):
+        targets[0]["flat"]["learnt"] = wrong
+        assert complaint in complaint_of(file, targets), complaint
 
 
 def complaint_of(file: Path, targets: object) -> str:
