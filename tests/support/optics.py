@@ -270,8 +270,12 @@ def write(
     serial: str = "OPTICS-1",
     fps: float = FPS,
     exposure_ms: float | None = None,
+    **more: object,
 ) -> Path:
-    """Write an altd-recording/1 (DESIGN, section 4); frames of one time are one exposure."""
+    """Write an altd-recording/1 (DESIGN, section 4); frames of one time are one exposure.
+
+    ``more`` are further keys of its header.
+    """
     lines, seen = ["sequence,t_s,camera,file,leds,x_mm,y_mm"], dict[float, int]()
     for t_s, name, picture, place in rows:
         number = seen.setdefault(t_s, len(seen))
@@ -290,7 +294,7 @@ def write(
         "cameras": {"front": size, "rear": size},
     }
     (path / "recording.json").write_text(
-        json.dumps({**header, "unit": unit, "note": "drawn from the optics"})
+        json.dumps({**header, "unit": unit, "note": "drawn from the optics", **more})
     )
     return path
 
