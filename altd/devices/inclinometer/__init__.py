@@ -153,8 +153,8 @@ class InclinometerSettings(DeviceTable):
     """A reading that stays equal to the last digit for this time, s, is ``frozen``."""
     max_noise_deg: Annotated[float, Field(gt=0, le=10)] = 0.3
     """Readings with a larger standard deviation, degrees, are ``noisy``."""
-    max_roll_deg: Annotated[float, Field(gt=0, le=90)] = 45.0
-    """Roll beyond ± this angle, degrees, is out of range."""
+    max_roll_deg: Annotated[float, Field(gt=0, le=90)] = 14.04
+    """Roll beyond ± this angle, degrees, is out of range; by default the specified 250 mm/m, atan 0.25."""
     sign_roll: Literal[-1, 1] = 1
     """Sign of the angle. Roll is positive clockwise as seen along the beam; -1 reverses it."""
     offset_roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0

@@ -145,15 +145,21 @@ class TestRefuses:
     def test_a_jump(self) -> None:
         judged = judge()
         last_of(judged, noisy(10, 0.02))
-        assert judged.roll(reading(10, 21.5)).quality is Quality.NOISY
+        assert judged.roll(reading(10, 11.5)).quality is Quality.NOISY
 
     @pytest.mark.parametrize(
         ("angle_deg", "temperature_c"),
-        [(46.0, 20.0), (-46.0, 20.0), (179.0, 20.0), (90.0, 20.0), (1.0, -40.1), (1.0, 85.1), (1.0, -327.68)],
+        [(14.1, 20.0), (-14.1, 20.0), (179.0, 20.0), (90.0, 20.0), (1.0, -40.1), (1.0, 85.1), (1.0, -327.68)],
     )
     def test_what_is_out_of_range(self, angle_deg: float, temperature_c: float) -> None:
         said = last_of(judge(), [angle_deg, angle_deg + 0.01] * 3, temperature_c=temperature_c)
         assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
+
+
+@pytest.mark.parametrize("roll_deg", [14.03, -14.03])
+def test_a_roll_of_250_mm_per_m_is_good(roll_deg: float) -> None:
+    said = last_of(judge(), [roll_deg, roll_deg - math.copysign(0.01, roll_deg)] * 3 + [roll_deg])
+    assert (said.quality, said.value) == (Quality.GOOD, pytest.approx(roll_deg))
 
 
 FINE = InclinometerAccuracy(0.01, -20.0, 60.0, 0.05, 0.0, 0.0, 0.001, 30.0, roll_is_inclination=True)
@@ -186,7 +192,7 @@ def test_a_sensor_of_360_degrees_has_no_end_of_its_range() -> None:
 
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(30.0, 0.0), (0.0, -30.0)])
 def test_an_angle_at_the_end_of_the_range_is_none(roll_deg: float, pitch_deg: float) -> None:
-    said = last_of(fine_judge(), [roll_deg] * 5, pitch_deg=pitch_deg)
+    said = last_of(fine_judge(max_roll_deg=90.0), [roll_deg] * 5, pitch_deg=pitch_deg)
     assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
 
 
