@@ -20,7 +20,7 @@ from hw_sim.flat import record_flat
 from hw_sim.hardness import HARD
 from hw_sim.measure import record_measurement
 from hw_sim.recording import Progress as Exposures
-from hw_sim.scan import STAGE_STREAM, record_scan
+from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit
 from studies.result import HARDER, Progress
@@ -74,17 +74,27 @@ class Bench:
 
         With ``flat`` its targets are also recorded in even light, and the spots located through that.
         """
-        recording = self._new("scan")
         more: tuple[object, ...] = ()
         if flat:
             evenly_lit = self._new("flat")
             record_flat(evenly_lit, unit, FLAT_EXPOSURES, self._exposures("flat"))
             more = ("--flat", evenly_lit)
-        stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
-        record_scan(recording, unit, stage, exposures, self._exposures("scan"))
-        self._progress(f"{self._what}: calibrate")
-        run_altd("calibrate", recording, "-o", self.calibration_file, *more)
+        recording = self.scan(unit, exposures)
+        content = self.calibrate_from(recording, *more)
         shutil.rmtree(recording)
+        return content
+
+    def scan(self, unit: Unit, exposures: int, grid: Grid = USUAL) -> Path:
+        """A recording of the unit's scan."""
+        recording = self._new("scan")
+        stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
+        record_scan(recording, unit, stage, exposures, self._exposures("scan"), grid)
+        return recording
+
+    def calibrate_from(self, scan: Path, *more: object) -> dict[str, Any]:
+        """Fit the maps of a scan (``altd calibrate``, with ``more`` arguments); the file's content."""
+        self._progress(f"{self._what}: calibrate")
+        run_altd("calibrate", scan, "-o", self.calibration_file, *more)
         content: dict[str, Any] = json.loads(self.calibration_file.read_text())
         return content
 

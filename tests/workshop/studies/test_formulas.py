@@ -80,7 +80,7 @@ def test_displacements_are_a_millimetre_long_in_any_direction() -> None:
 
 def test_the_places_between_the_nodes_are_in_the_middle_of_the_meshes() -> None:
     at = {(pose.x_mm, pose.y_mm) for pose in between_nodes()}
-    assert at == {(x, y) for x in (-56.0, -28.0, 0.0, 28.0, 56.0) for y in (-42.0, -14.0, 14.0, 42.0)}
+    assert at == {(x, y) for x in (-50.0, -25.0, 0.0, 25.0, 50.0) for y in (-37.5, -12.5, 12.5, 37.5)}
 
 
 def test_a_beam_spreads_by_its_divergence_far_away_and_by_root_two_at_its_rayleigh_length() -> None:
