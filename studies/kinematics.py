@@ -1,13 +1,19 @@
 """Fig. 2.11 and Eqs. 2.34–2.36: workspace and singular poses of the planar 3-PRP machine."""
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
 from studies.planar_machine.geometry_fit import PARAMETERS, fit_geometry
 from studies.planar_machine.kinematics import Machine, double_triangle, joints_of, poses_of
 from studies.planar_machine.singularities import concurrent_line, parallel_orientations_deg
-from studies.planar_machine.workspace import area_mm2, contains, slice_mm, volume_mm2_deg
-from studies.plot import GREY, OURS, THESIS, panels
+from studies.planar_machine.workspace import area_mm2, contains, face_mm, slice_mm, volume_mm2_deg
+from studies.plot import GREY, OURS, THESIS, THIRD
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Fig. 2.11: workspace and singular poses of the planar machine"
@@ -17,6 +23,10 @@ BASE_MM = 500.0
 """The source does not print the size; every length here is in proportion to it."""
 CLAIMED_DEG = (-49.2486, 49.2486, 65.3757)
 SLICES_DEG = (-40.0, -20.0, 0.0, 20.0, 40.0, 55.0)
+FACES_DEG, PIECES = np.arange(-57.0, 62.1, 4.25), 4
+"""Orientations at which the faces of the solid are cut into strips, and pieces of a strip."""
+VIEWS_DEG = {"The solid and its six faces": -60.0, "From the other side": 190.0}
+"""Titles of the pictures of the solid, and the directions that they are seen from."""
 POSES, UNITS, SEED = 60, 50, 211
 SIGMA_POSE = np.array([0.03, 0.03, 0.02])
 SIGMA_JOINT_MM = 0.025 / np.sqrt(12.0)
@@ -44,7 +54,9 @@ def run(progress: Progress) -> Result:
     progress("kinematics: fits")
     ratios, sigmas, condition = _fits(machine)
 
-    figure, (left, right) = panels(1, 2, height=3.8)
+    figure = Figure(figsize=(8.4, 7.6), layout="constrained")
+    _draw_solid(figure, machine)
+    left, right = (figure.add_subplot(2, 2, place) for place in (3, 4))
     for angle in SLICES_DEG:
         corners = slice_mm(machine, angle)
         shade = (angle - SLICES_DEG[0]) / (SLICES_DEG[-1] - SLICES_DEG[0])
@@ -82,11 +94,11 @@ def run(progress: Progress) -> Result:
     return Result(
         of="orientation, singular in the thesis",
         thesis_source=(
-            "Sec. 2.3.2–2.3.5 and 2.4.4, Fig. 2.11, Eqs. 2.34–2.36, 2.60–2.64; no dimensions are printed"
+            "Sec. 2.3.2–2.3.5, 2.4.4, Fig. 2.10, 2.11, Eqs. 2.25–2.36, 2.60–2.64; no dimensions are printed"
         ),
         differs=(
             "the joints use their whole rails, in the thesis a range that limits φ to −48.5° … +62°; the "
-            "six surfaces are not drawn (Fig. 2.10), the reguli not computed (Eqs. 2.25–2.27)"
+            "solid is drawn over (a, b, φ), in the thesis in the image space"
         ),
         columns=(
             Column("turn to the next parallel rail and edge, °", 4, judged=False),
@@ -111,7 +123,9 @@ singular in it.
 
 *Workspace.* With joints that use the whole sides the volume is {volume:,.0f} mm²·° by slices, whose polygons
 are exact, and {by_joints:,.0f} mm²·° by integrating |∂(a, b, φ)/∂(joints)| over all joints and both modes:
-{100 * abs(by_joints / volume - 1):.3f} % apart.
+{100 * abs(by_joints / volume - 1):.3f} % apart. The six faces (Fig. 2.10, above) are where a joint is at an
+end of its rail. Each belongs to a hyperbolic paraboloid of the image space, which has two real lines in the
+plane X₀ = 0 (Eqs. 2.25–2.27); at each φ it is a straight line.
 
 *The claim* of §2.3.4 that every path inside the solid is free of singular poses does not hold. Eqs. 2.28
 to 2.30 bound the joints; they do not contain the poses of type 2, where the normals of the edges meet in
@@ -129,10 +143,51 @@ reports which parameters are not determined.
 """,
         figure=figure,
         caption=(
-            "Left: the workspace at six orientations, with its singular poses. Right: range of the signed "
-            "distance of the workspace from the singular line, by orientation"
+            "Above: the workspace over a, b and φ; each face is where one joint is at one end of its rail "
+            "(Fig. 2.10). Below, left: the workspace at six orientations, with its singular poses (Fig. "
+            "2.11). Below, right: range of the signed distance of the workspace from the singular line, by "
+            "orientation"
         ),
     )
+
+
+def _draw_solid(figure: Figure, machine: Machine) -> None:
+    """The solid from two sides, a colour a joint, dark at the start of its rail and light at its end."""
+    pieces, shades, legend = [], [], []
+    for leg, (colour, rail) in enumerate(
+        zip((OURS, THESIS, THIRD), ("base", "right leg", "left leg"), strict=True)
+    ):
+        for end, of_rail in enumerate(("start", "end")):
+            red, green, blue = ((1.0 - 0.45 * end) * part + 0.45 * end for part in to_rgb(colour))
+            shade = red, green, blue
+            sides = [np.insert(face_mm(machine, phi, leg, end), 2, phi, axis=1) for phi in FACES_DEG]
+            face = [
+                piece
+                for low, high in pairwise(sides)
+                if len(low) and len(high)
+                for piece in _pieces(low, high)
+            ]
+            pieces += face
+            shades += [shade] * len(face)
+            legend.append(Patch(color=shade, label=f"joint at the {of_rail} of the {rail}"))
+    for place, (title, azimuth_deg) in enumerate(VIEWS_DEG.items(), 1):
+        axis = figure.add_subplot(2, 2, place, projection="3d")
+        lines = [tuple(0.6 * part for part in shade) for shade in shades]
+        # one collection of short pieces: matplotlib decides by their middles which hides which
+        axis.add_collection3d(Poly3DCollection(pieces, facecolors=shades, edgecolors=lines, linewidths=0.2))
+        axis.set(xlim=(-260, 400), ylim=(0, 640), zlim=(-60, 65), title=title)
+        axis.set(xlabel="a, mm", ylabel="b, mm", zlabel="φ, °")
+        axis.view_init(25.0, azimuth_deg)
+        axis.set_box_aspect((1.0, 1.0, 0.9), zoom=0.9)
+        axis.locator_params(nbins=5)
+    figure.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 1.0), fontsize=7)
+
+
+def _pieces(low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """Pieces (4, 3), one beside the other, of the strip between two sides (2, 3)."""
+    share = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
+    lower, upper = ((1.0 - share) * side[0] + share * side[1] for side in (low, high))
+    return [np.array([*lower[k : k + 2], *upper[k : k + 2][::-1]]) for k in range(PIECES)]
 
 
 def _turn_deg(machine: Machine, phi_deg: float) -> npt.NDArray[np.float64]:

@@ -183,6 +183,16 @@ def quadrics(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
     return form
 
 
+def absolute_lines(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
+    """Lines l (..., 3, 3), l · (X1, X2, X3) = 0, in which each quadric meets X0 = 0 (Eq. 2.25–2.27).
+
+    A quadric meets this plane in X3 = 0 too, the line that all three share. With two real lines there it is a
+    hyperbolic paraboloid.
+    """
+    form = quadrics(machine, joints_mm)
+    return np.stack([2 * form[..., 1, 3], 2 * form[..., 2, 3], form[..., 3, 3]], axis=-1)
+
+
 def _direction(angle_rad: FloatArray) -> FloatArray:
     return np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
 

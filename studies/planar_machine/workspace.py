@@ -25,12 +25,7 @@ def contains(machine: Machine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
 
 def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
     """Corners (N, 2) of the workspace at one φ in (a, b), counter-clockwise; (0, 2) where there is none."""
-    angle = np.radians(machine.edge_deg + phi_deg)
-    normals = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    strips = np.empty((3, 2))
-    for end in (0, 1):
-        points = machine.rail_points_mm(machine.limits_mm[:, end])
-        strips[:, end] = np.einsum("ij,ij->i", normals, points) - machine.edge_offset_mm
+    normals, strips = _strips(machine, phi_deg)
     strips.sort(axis=1)
     to_corner = np.linalg.inv(normals[:2])
     polygon = np.array(
@@ -39,6 +34,32 @@ def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
     for sign, end in ((1.0, 0), (-1.0, 1)):
         polygon = _cut(polygon, sign * normals[2], sign * strips[2, end])
     return polygon if area_mm2(polygon) >= 0 else polygon[::-1]
+
+
+def face_mm(machine: Machine, phi_deg: float, leg: int, end: int) -> FloatArray:
+    """Ends (2, 2) of the side of the slice at one φ where a leg is at its first or last limit; or (0, 2).
+
+    Over all φ it is a face of the solid, a part of one of the six surfaces of Eq. 2.28–2.30 (Fig. 2.10).
+    """
+    normals, strips = _strips(machine, phi_deg)
+    along = np.array([normals[leg, 1], -normals[leg, 0]])
+    foot = normals[leg] * strips[leg, end]
+    low, high = -np.inf, np.inf
+    for other in {0, 1, 2} - {leg}:
+        ends = np.sort((strips[other] - normals[other] @ foot) / (normals[other] @ along))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return foot + np.outer((low, high), along) if low < high else np.empty((0, 2))
+
+
+def _strips(machine: Machine, phi_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Normals (3, 2) of the edges, and n·(a, b) (3, 2) of each leg's two limits, at one φ."""
+    angle = np.radians(machine.edge_deg + phi_deg)
+    normals = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    strips = np.empty((3, 2))
+    for end in (0, 1):
+        points = machine.rail_points_mm(machine.limits_mm[:, end])
+        strips[:, end] = np.einsum("ij,ij->i", normals, points) - machine.edge_offset_mm
+    return normals, strips
 
 
 def volume_mm2_deg(machine: Machine, first_deg: float, last_deg: float) -> float:

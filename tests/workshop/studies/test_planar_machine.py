@@ -10,6 +10,7 @@ import pytest
 from studies.planar_machine.geometry_fit import PARAMETERS, NotIdentifiableError, fit_geometry
 from studies.planar_machine.kinematics import (
     Machine,
+    absolute_lines,
     double_triangle,
     image_points,
     joints_of,
@@ -21,7 +22,7 @@ from studies.planar_machine.singularities import (
     image_determinant,
     parallel_orientations_deg,
 )
-from studies.planar_machine.workspace import area_mm2, contains, slice_mm, volume_mm2_deg
+from studies.planar_machine.workspace import area_mm2, contains, face_mm, slice_mm, volume_mm2_deg
 
 Array = npt.NDArray[np.float64]
 
@@ -134,6 +135,22 @@ class TestKinematics:
         points = image_points(poses)
         forms = quadrics(machine(), joints_of(machine(), poses))
         assert np.abs(np.einsum("ni,npij,nj->np", points, forms, points)).max() < 1e-8
+
+    def test_the_quadrics_meet_the_plane_x0_in_one_shared_line_and_one_of_each(self) -> None:
+        """Eq. 2.25 to 2.27: X3 = 0, and 2 P1 X1 + 2 P2 X2 + (P0 − P1 t1 − P2 t2) X3 = 0."""
+        joints = np.array([120.0, 300.0, 450.0])
+        forms, lines = quadrics(machine(), joints), absolute_lines(machine(), joints)
+        rng = np.random.default_rng(9)
+        for leg, length in enumerate((BASE_MM, LEG_MM, LEG_MM)):
+            start, end = FIXED[leg], FIXED[(leg + 1) % 3]
+            driven = start + (end - start) * joints[leg] / length
+            p0, p1, p2 = np.cross([1.0, *MOVING[leg]], [1.0, *MOVING[(leg + 1) % 3]])
+            own = np.array([2 * p1, 2 * p2, p0 - p1 * driven[0] - p2 * driven[1]])
+            assert np.cross(lines[leg], own) == pytest.approx(np.zeros(3), abs=1e-6)
+            across = np.cross(lines[leg], rng.normal(size=3))
+            for point in ([0.0, *across], [0.0, *rng.normal(size=2), 0.0]):
+                at = np.array(point) / np.linalg.norm(point)
+                assert at @ forms[leg] @ at == pytest.approx(0.0, abs=1e-9)
 
     def test_the_printed_sign_of_s1_does_not_close_leg_1(self) -> None:
         """Eq. 2.22, X0X1 + s1X0X3 + X2X3 = 0 as printed, with its edge as the x axis of the EE."""
@@ -264,6 +281,19 @@ class TestWorkspace:
             assert (after[:, 0] * to_pose[:, 1] - after[:, 1] * to_pose[:, 0] > -1e-6).all()
 
     @pytest.mark.long
+    @pytest.mark.parametrize("phi_deg", [-40.0, 0.0, 20.0, 55.0])
+    def test_the_six_faces_are_the_sides_of_a_slice_with_a_joint_at_its_limit(self, phi_deg: float) -> None:
+        faces = {(leg, end): face_mm(machine(), phi_deg, leg, end) for leg in range(3) for end in (0, 1)}
+        corners = slice_mm(machine(), phi_deg)
+        around = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).sum()
+        assert sum(float(np.linalg.norm(np.ptp(face, axis=0))) for face in faces.values() if len(face)) == (
+            pytest.approx(around)
+        )
+        for (leg, end), face in faces.items():
+            for point in face:
+                joint = joints_of(machine(), np.array([*point, phi_deg]))[leg]
+                assert joint == pytest.approx(machine().limits_mm[leg, end], abs=1e-6)
+
     def test_volume_by_slices_is_that_by_the_joints(self) -> None:
         """∫ |∂(a, b, φ)/∂(joints)| over the joints by a lattice, both modes, against the slices."""
         count, ratio = 2**18, 1.2207440846057596
