@@ -21,6 +21,7 @@ from studies.budget import monte_carlo
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
 from studies.learnt_pattern import Power, left
+from studies.table_2_1 import error_statistics
 from studies.table_3_1 import STEP_MM, displaced_poses
 from studies.table_3_3 import between_nodes
 from studies.table_3_4 import principal_components
@@ -76,6 +77,13 @@ def test_displacements_are_a_millimetre_long_in_any_direction() -> None:
     moved = at[1::2] - at[::2]
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.full(50, STEP_MM))
     assert np.abs(moved.mean(axis=0)).max() < 0.4
+
+
+def test_statistics_of_errors_are_of_the_repeats_of_a_camera_and_the_std_is_of_signed_ones() -> None:
+    errors = np.array([[[1.0, -2.0, 0.5], [-3.0, -2.0, 0.5]], [[5.0, -2.0, 0.5], [5.0, 0.0, 1.5]]])
+    found = error_statistics(errors)
+    expected = (3.5, 4.0, math.sqrt(2.0), 1.5, 2.0, math.sqrt(0.5), 0.75, 1.0, math.sqrt(0.125))
+    assert found == pytest.approx(expected)
 
 
 def test_the_places_between_the_nodes_are_in_the_middle_of_the_meshes() -> None:
