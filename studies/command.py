@@ -20,6 +20,7 @@ MAX_CHEAP_CPU_S = 10
 """Of a study that is made in each turn."""
 
 STUDIES = {
+    "conic": 8,
     "table-2.1": 72,
     "table-3.1": 224,
     "table-3.2": 28,

@@ -18,6 +18,7 @@ from studies import budget, chessboard
 from studies.averaging import sliding_mean
 from studies.beam import grown, slanted_poses
 from studies.budget import monte_carlo
+from studies.conic import fit_c2
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
 from studies.learnt_pattern import Power, left
@@ -77,6 +78,17 @@ def test_displacements_are_a_millimetre_long_in_any_direction() -> None:
     moved = at[1::2] - at[::2]
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.full(50, STEP_MM))
     assert np.abs(moved.mean(axis=0)).max() < 0.4
+
+
+def test_c2_finds_the_centre_of_an_exact_ellipse_and_of_a_hyperbola() -> None:
+    angle, centre = np.linspace(0.0, 5.0, 24), np.array([0.1, -0.2])
+    ellipse = np.array([1.2 * np.cos(angle) + 0.3 * np.sin(angle), 0.8 * np.sin(angle)])
+    along = np.linspace(-1.0, 1.0, 12)
+    branch = np.array([np.cosh(along), 0.7 * np.sinh(along)])
+    for points, is_ellipse in ((ellipse, True), (np.hstack([branch, -branch]), False)):
+        found, said = fit_c2(*(points + centre[:, None]))
+        assert found == pytest.approx(centre)
+        assert said is is_ellipse
 
 
 def test_statistics_of_errors_are_of_the_repeats_of_a_camera_and_the_std_is_of_signed_ones() -> None:

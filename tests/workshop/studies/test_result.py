@@ -155,7 +155,7 @@ def test_an_unknown_study_is_one_line_and_status_2(capsys: pytest.CaptureFixture
     assert main(["fig-9.9"]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert printed.err.startswith("studies: NAME: unknown study 'fig-9.9'; known are table-2.1, ")
+    assert printed.err.startswith("studies: NAME: unknown study 'fig-9.9'; known are conic, ")
     assert printed.err.count("\n") == 1
 
 
