@@ -53,6 +53,7 @@ K1 = (-0.12, -0.04)
 LED_SHARE, AMBIENT_SHARE = 0.55, 0.03
 """Shares of the full well: a lit LED, and the matte plate in the room's light."""
 FPS = 20.0
+SHAKE_INSTANTS = 8
 MAX_DRAWS = 10_000
 MACHINE_FLAWS = MachineFlaws(place_mm=0.5, direction_deg=0.1, screw_ppm=200.0)
 
@@ -72,10 +73,16 @@ class Light:
 
 @dataclass(slots=True)
 class PlanarScene:
-    """A plate in front of a camera; ``seed`` selects lens, tilt, holes and brightness."""
+    """A plate in front of a camera; ``seed`` selects lens, tilt, holes and brightness.
+
+    ``size_px`` is the size of the picture, whose view is always the same. ``shake_px`` is one sigma, along
+    each axis, of the picture's displacement in the middle of an exposure, and of its travel meanwhile.
+    """
 
     seed: int
     leds_mm: FloatArray = field(default_factory=lambda: np.array(LEDS_MM))
+    size_px: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)
+    shake_px: float = 0.0
     lens: Lens = field(init=False)
     _plane_mm: tuple[Image, Image] = field(init=False)
     _fall_off: Image = field(init=False)
@@ -91,20 +98,21 @@ class PlanarScene:
         )
         focal_mm = float(rng.uniform(*FOCAL_MM))
         middle = turned[:, :2] @ np.array([MIDDLE_MM[0], -MIDDLE_MM[1]])
+        (width, height), finer = self.size_px, self.size_px[0] / WIDTH_PX
         k1, k2 = float(rng.uniform(*K1)), float(rng.uniform(-0.01, 0.01))
         p1, p2 = (float(p) for p in rng.uniform(-3e-4, 3e-4, size=2))
         self.lens = Lens(
-            focal_mm,
+            focal_mm * finer,  # as if the pixels were smaller
             (
-                (WIDTH_PX - 1) / 2.0 + float(rng.uniform(-12, 12)),
-                (HEIGHT_PX - 1) / 2.0 + float(rng.uniform(-12, 12)),
+                (width - 1) / 2.0 + finer * float(rng.uniform(-12, 12)),
+                (height - 1) / 2.0 + finer * float(rng.uniform(-12, 12)),
             ),
             (k1, k2, p1, p2, 0.0),
             turned,
             np.array([0.0, 0.0, 58.0 * focal_mm]) - middle,
             mirrored=False,
         )
-        u, v = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
+        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         x_mm, y_mm = self.lens.unproject(u, v)
         self._plane_mm = x_mm.astype(np.float32), y_mm.astype(np.float32)
         self._fall_off = self.lens.relative_illumination(x_mm, y_mm).astype(np.float32)
@@ -121,7 +129,8 @@ class PlanarScene:
             a, b, phi = (float(x) for x in self._rng.uniform(-1.0, 1.0, size=3) * HALF_RANGE)
             pose = (MIDDLE_MM[0] + a, MIDDLE_MM[1] + b, phi)
             u, v = self.lens.project(*places_mm(self.leds_mm, pose).T)
-            if min(u.min(), v.min(), WIDTH_PX - 1 - u.max(), HEIGHT_PX - 1 - v.max()) > 20.0:
+            right, lower = self.size_px[0] - 1 - u.max(), self.size_px[1] - 1 - v.max()
+            if min(u.min(), v.min(), right, lower) > 20.0 * self.size_px[0] / WIDTH_PX:
                 poses.append(pose)
         raise ValueError("the picture does not hold the plate")
 
@@ -137,7 +146,7 @@ class PlanarScene:
 
     def mean_electrons(self, pose: Pose, lit: Collection[int], lights: Sequence[Light] = ()) -> Image:
         """Mean electrons of each pixel without noise; ``lit`` are the lit LEDs, counted from 0."""
-        covered = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
+        covered = np.zeros_like(self._fall_off)
         radius_mm = LED_DIAMETER_MM / 2.0
         for led, (x_mm, y_mm) in enumerate(places_mm(self.true_leds_mm, pose).tolist()):
             if led in lit:
@@ -147,13 +156,27 @@ class PlanarScene:
             at = light.x_mm, light.y_mm
             add_disc(covered, self.lens, self._plane_mm, at, light.radius_mm, light.brightness)
         blurred = cv2.GaussianBlur(covered, (0, 0), PSF_SIGMA_PX)
-        slope = np.linspace(0.8, 1.2, WIDTH_PX, dtype=np.float32)
+        slope = np.linspace(0.8, 1.2, self.size_px[0], dtype=np.float32)
         share = np.float32(LED_SHARE) * blurred + np.float32(AMBIENT_SHARE) * slope
         return np.asarray(share * self._fall_off * np.float32(FULL_WELL_E))
 
     def expose(self, mean_electrons: Image) -> PixelArray:
         """One frame of 8 bits with shot noise and read noise."""
+        if self.shake_px:
+            mean_electrons = self._shaken(mean_electrons)
         return Sensor().expose(mean_electrons, 1.0, self._rng)
+
+    def _shaken(self, electrons: Image) -> Image:
+        """The picture displaced and blurred by a straight path of a camera that shakes."""
+        middle, travel = self._rng.normal(0.0, self.shake_px, size=(2, 2))
+        total = np.zeros_like(electrons)
+        for share in np.linspace(-0.5, 0.5, SHAKE_INSTANTS):
+            u, v = middle + share * travel
+            moved = np.array([[1.0, 0.0, u], [0.0, 1.0, v]])
+            total += cv2.warpAffine(
+                electrons, moved, self.size_px, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            )
+        return total / np.float32(SHAKE_INSTANTS)
 
 
 def places_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
@@ -185,7 +208,14 @@ def record(
         "format": "altd-recording/1",
         "kind": "planar",
         "fps": FPS,
-        "cameras": {"plate": {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": 8, "origin": "simulated"}},
+        "cameras": {
+            "plate": {
+                "width": scene.size_px[0],
+                "height": scene.size_px[1],
+                "bits": 8,
+                "origin": "simulated",
+            }
+        },
         "unit": {"serial": f"SIM-PLANAR-{scene.seed}"},
         "note": f"hw_sim, seed {scene.seed}, planar",
         "plate": {"leds_mm": scene.leds_mm.tolist(), "disc_mm": LED_DIAMETER_MM},

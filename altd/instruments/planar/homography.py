@@ -84,7 +84,7 @@ def vanishing_line_homography(source: FloatArray, target: FloatArray) -> FloatAr
     inverse = np.linalg.pinv(plane)
     seen = [-coordinate[:, None] * plane for coordinate in target.T]  # X′P and Y′P, Eq. 2.47
     d = np.vstack([part - plane @ (inverse @ part) for part in seen])
-    _, singular, rows = np.linalg.svd(d)
+    _, singular, rows = np.linalg.svd(d, full_matrices=False)
     if singular[1] < _DEGENERATE_BELOW * np.linalg.norm(np.vstack(seen)):
         raise ValueError("the points leave the homography undetermined")
     line = rows[-1]  # g3, Eq. 2.51: the smallest singular value's

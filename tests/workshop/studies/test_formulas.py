@@ -12,6 +12,7 @@ from support.places import ROOT
 
 from altd.calibration.report.budget import budget_of
 from altd.errors import BadInputError
+from altd.instruments.planar.homography import apply_homography
 from altd.records import Limits
 from hw_sim.beam import BeamPose
 from studies import budget, chessboard
@@ -22,6 +23,7 @@ from studies.conic import fit_c2
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
 from studies.learnt_pattern import Power, left
+from studies.planar_errors import direct_linear_transform
 from studies.table_2_1 import error_statistics
 from studies.table_3_1 import STEP_MM, displaced_poses
 from studies.table_3_3 import between_nodes
@@ -89,6 +91,15 @@ def test_c2_finds_the_centre_of_an_exact_ellipse_and_of_a_hyperbola() -> None:
         found, said = fit_c2(*(points + centre[:, None]))
         assert found == pytest.approx(centre)
         assert said is is_ellipse
+
+
+@pytest.mark.parametrize("count", [4, 5, 7])
+def test_dlt_is_exact_on_exact_points(count: int) -> None:
+    rng = np.random.default_rng(count)
+    wanted = np.eye(3) + rng.normal(0.0, 0.1, (3, 3))
+    source = rng.uniform(-1.0, 1.0, (count, 2))
+    found = direct_linear_transform(source, apply_homography(wanted, source))
+    assert found / found[2, 2] == pytest.approx(wanted / wanted[2, 2], abs=1e-9)
 
 
 def test_statistics_of_errors_are_of_the_repeats_of_a_camera_and_the_std_is_of_signed_ones() -> None:
