@@ -24,8 +24,8 @@ BASE_MM = 500.0
 CLAIMED_DEG = (-49.2486, 49.2486, 65.3757)
 SLICES_DEG = (-40.0, -20.0, 0.0, 20.0, 40.0, 55.0)
 FACES_DEG, PIECES = np.arange(-57.0, 62.1, 4.25), 4
-"""Orientations at which the faces of the solid are cut into strips, and pieces of a strip."""
-VIEWS_DEG = {"The solid and its six faces": -60.0, "From the other side": 190.0}
+"""Orientations at which the surfaces of the solid are cut into strips, and pieces of a strip."""
+VIEWS_DEG = {"The solid and its six surfaces": -60.0, "From the other side": 190.0}
 """Titles of the pictures of the solid, and the directions that they are seen from."""
 POSES, UNITS, SEED = 60, 50, 211
 SIGMA_POSE = np.array([0.03, 0.03, 0.02])
@@ -123,9 +123,9 @@ singular in it.
 
 *Workspace.* With joints that use the whole sides the volume is {volume:,.0f} mm²·° by slices, whose polygons
 are exact, and {by_joints:,.0f} mm²·° by integrating |∂(a, b, φ)/∂(joints)| over all joints and both modes:
-{100 * abs(by_joints / volume - 1):.3f} % apart. The six faces (Fig. 2.10, above) are where a joint is at an
-end of its rail. Each belongs to a hyperbolic paraboloid of the image space, which has two real lines in the
-plane X₀ = 0 (Eqs. 2.25–2.27); at each φ it is a straight line.
+{100 * abs(by_joints / volume - 1):.3f} % apart. The six surfaces (Fig. 2.10, above) are where a joint is at
+an end of its rail. Each belongs to a hyperbolic paraboloid of the image space, which has two real lines in
+the plane X₀ = 0 (Eqs. 2.25–2.27); at each φ it is a straight line.
 
 *The claim* of §2.3.4 that every path inside the solid is free of singular poses does not hold. Eqs. 2.28
 to 2.30 bound the joints; they do not contain the poses of type 2, where the normals of the edges meet in
