@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
+from altd.calibration.service_flat import FAR, without_surroundings
 from altd.records import FloatArray, Frame, Spot
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
@@ -21,7 +22,9 @@ QUESTION = "Can the spots of a scan, or of ordinary service, replace a flat?"
 SEED = 71
 HEIGHT, WIDTH, PX_PER_MM, PARTS = 272, 336, 3.7, 3
 HALF_AREA_MM = (30.0, 22.0)
-RADIUS_MM, ORDER, PEAK_COUNTS, DARK_COUNTS = 6.0, 1.3, 175.0, 5.0
+RADIUS_MM, ORDER, PEAK_COUNTS = 6.0, 1.3, 175.0
+AMBIENT_COUNTS = 5.3, 0.03, 0.015
+"""Light around the spots in the middle, and by mm along x and y."""
 GRAIN, GRAIN_MM = 0.12, 0.35
 PITCH_MM, DOT_MM = 1.0, 0.5
 ELECTRONS_PER_COUNT, READ_COUNTS = 10_000.0 / 255, 0.64
@@ -58,7 +61,7 @@ class Case:
     flat. With ``step_mm`` the spots are on a grid of known places. ``power_rms`` is the scatter of the
     laser's power, ``power`` how it is taken. ``speckle`` is the contrast of a speckle that differs from
     picture to picture. With ``film`` a film of 10 mm takes a tenth of the light in the middle, from half of
-    the spots on.
+    the spots on. The light around a spot is subtracted as a plane of means, or as the ``median`` of counts.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Case:
     power: Power = "constant"
     speckle: float = 0.0
     film: bool = False
+    median: bool = False
 
 
 CONSTANT = Case("estimated places", (0, 1, 2, 4))
@@ -81,6 +85,7 @@ CASES = (
     ESTIMATED,
     KNOWN,
     Case("known places, 28 mm apart", (1,), step_mm=28.0),
+    Case("median of whole counts subtracted", (1, 2, 4), median=True),
     Case("moving speckle", (0, 2), speckle=0.05),
     Case("film from half of the spots on", (0, 2), film=True),
 )
@@ -156,7 +161,10 @@ def picture(
         light *= 1 + case.speckle * noise / noise.std()
     if case.film and 2 * number >= case.spots:
         light *= film()
-    electrons = rng.poisson((light + DARK_COUNTS) * ELECTRONS_PER_COUNT * exposures)
+    middle, by_x, by_y = AMBIENT_COUNTS
+    x, y = np.arange(WIDTH) - (WIDTH - 1) / 2, np.arange(HEIGHT)[:, None] - (HEIGHT - 1) / 2
+    light += middle + (by_x * x + by_y * y) / PX_PER_MM
+    electrons = rng.poisson(light * ELECTRONS_PER_COUNT * exposures)
     read = rng.normal(0, READ_COUNTS / np.sqrt(exposures), light.shape)
     counts = electrons / (ELECTRONS_PER_COUNT * exposures) + read
     return Frame("front", number, number, np.clip(np.rint(counts), 0, 255).astype(np.uint8))
@@ -187,7 +195,7 @@ def learnt(
     of: Located,
     places_px: FloatArray,
     flats: tuple[Flat | None, Flat | None],
-    power: Power,
+    case: Case,
 ) -> Flat:
     """Weighted mean of the pictures over the model of the spots at ``places_px``.
 
@@ -200,10 +208,12 @@ def learnt(
     light, weight = np.zeros((2, HEIGHT, WIDTH))
     for number, at_px in zip(of.numbers, places_px, strict=True):
         pixels = frames[number].pixels
-        excess = pixels - float(np.median(pixels))
         expected = irradiance(at_px, of.form, of.order)
+        excess = without_surroundings(pixels.astype(np.float32), expected < FAR)
+        if case.median or excess is None:
+            excess = pixels - np.float32(np.median(pixels))
         weights = np.where(expected > _MIN_SHARE, 1 / (expected + _READ_SHARE), 0)
-        if power == "estimated":
+        if case.power == "estimated":
             model = expected * present
             expected *= float((weights * model * excess).sum() / (weights * model * model).sum())
             expected /= PEAK_COUNTS
@@ -269,7 +279,7 @@ def errors_mm(name: str, case: Case) -> dict[int, FloatArray]:
         if number:
             spots, estimated_px = target.measured(frames, flat)
             at_px = estimated_px if case.step_mm is None else places_px[spots.numbers]
-            flat = learnt(frames, spots, at_px, (target.surface.assumed, flat), case.power)
+            flat = learnt(frames, spots, at_px, (target.surface.assumed, flat), case)
         if number in case.passes:
             seen_spots, measured_px = target.measured(beams, flat)
             errors[number] = (measured_px - beams_px[seen_spots.numbers]) / PX_PER_MM
@@ -338,7 +348,9 @@ altd's localiser places {SPOTS} single exposures of a super-Gaussian spot of {2 
 all pictures over the spots' common model, weighted by photon and read noise, and the next pass begins. The
 map is a quadratic through {NODES[0] * NODES[1]} nodes of a scan, fitted again in each pass. Errors are those
 of {BEAMS} other beams, each the mean of {EXPOSURES} exposures, by the last flat and map. *No pass* is without
-a flat. Speckle of contrast 0.05 is the same in the exposures of one mean.
+a flat. Speckle of contrast 0.05 is the same in the exposures of one mean. The light around the spots is
+uneven, {AMBIENT_COUNTS[0]:g} counts in the middle; a plane of means is subtracted. With the median of whole
+counts instead, the rest stays in place, and each pass adds to the error.
 
 A spot takes part of the texture with it: a wave of amplitude c and wave number k displaces a Gaussian spot of
 sigma s by s² k c exp(−s²k²/2), and the mean over all spots lacks the share s²k² exp(−s²k²) of it, 0.37 at
