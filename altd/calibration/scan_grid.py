@@ -199,15 +199,18 @@ def cut_sides(
     usual = np.linalg.lstsq(design[inner], displacements_mm[inner], rcond=None)[0]
     excess_mm = displacements_mm - design @ usual
     lost = np.sqrt(np.count_nonzero(inner) / (np.count_nonzero(inner) - design.shape[1]))
-    sigma_mm = lost * MAD_TO_SIGMA * float(np.median(np.abs(excess_mm[inner])))
-    limit_mm = max(_MIN_CUT_MM, _MIN_CUT_SIGMAS * sigma_mm)
+    sigmas_mm = lost * MAD_TO_SIGMA * np.median(np.abs(excess_mm[inner]), axis=0)
+    # the trend reaches the outer nodes by extrapolation: its own uncertainty counts, too
+    factor = np.linalg.inv(np.linalg.cholesky(design[inner].T @ design[inner])) @ design.T
+    predicted = np.sqrt(1.0 + np.square(factor).sum(axis=0))
     sides = []
     for axis, name in enumerate("xy"):
         along_mm, off_mm = nodes_mm[:, axis], excess_mm[:, axis]
+        limits_mm = np.maximum(_MIN_CUT_MM, _MIN_CUT_SIGMAS * float(sigmas_mm[axis]) * predicted)
         for end_mm, inwards in ((low[axis], 1), (high[axis], -1)):
-            of_side = inwards * off_mm[has_both & (np.abs(along_mm - end_mm) < _SAME_LINE_MM)]
-            cut = np.count_nonzero(of_side > limit_mm)
-            if cut >= max(2, _MIN_CUT_SHARE * len(of_side)):
+            of_side = has_both & (np.abs(along_mm - end_mm) < _SAME_LINE_MM)
+            cut = np.count_nonzero(inwards * off_mm[of_side] > limits_mm[of_side])
+            if cut >= max(2, _MIN_CUT_SHARE * np.count_nonzero(of_side)):
                 sides.append(f"{name} {end_mm:g}")
     return tuple(sides)
 
