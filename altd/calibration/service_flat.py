@@ -109,7 +109,7 @@ class _Service:
         return _Placed(np.array([point.x_mm, point.y_mm]), form, spot.diameter_px)
 
     def usual(self, target: TargetCalibration, sequences: Sequence[int]) -> _Placed:
-        """Return a spot of the usual form. What the present flat lacks makes the forms of spots flatter."""
+        """Return a spot of the usual form; what the present flat lacks has a part in it."""
         spots = [self.placed(self.recording.frame(self.rows[sequence]), target) for sequence in sequences]
         known = [spot for spot in spots if spot is not None]
         return _Placed(
