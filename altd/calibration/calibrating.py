@@ -14,6 +14,7 @@ from altd.calibration.from_plates import calibrate_plates
 from altd.calibration.from_scans import calibrate_scans
 from altd.calibration.recorded_flat import flats_of
 from altd.calibration.result import CalibrationResult, Progress, TargetsResult, cross_check_doubts
+from altd.calibration.scan_grid import MAX_SIGMA_RATIO
 from altd.calibration.scan_nodes import Job, ScanNode, locate_nodes
 from altd.calibration.service_flat import check_service, with_service
 from altd.calibration.target_frames import TargetFrames, target_frames
@@ -234,7 +235,12 @@ def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress
 
 
 def _read(target: TargetCalibration, nodes: Sequence[ScanNode]) -> tuple[FloatArray, FloatArray, float]:
-    """Return stage positions and readings (n, 2) mm of nodes in the area, and the variance of a reading."""
+    """Return stage positions and readings (n, 2) mm of nodes in the area, and the variance of a reading.
+
+    Nodes with less certain spots, such as those that the picture's border cuts, are left out.
+    """
+    sigmas_px = np.array([node.sigma_px for node in nodes])
+    nodes = [node for node in nodes if node.sigma_px <= MAX_SIGMA_RATIO * np.median(sigmas_px)]
     stage_mm = np.array([node.position_mm for node in nodes]).reshape(-1, 2)
     spots_px = np.array([node.spot_px for node in nodes]).reshape(-1, 2)
     read_mm, _, covariance_mm2 = target.inverse.to_mm(spots_px)

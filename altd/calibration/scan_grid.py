@@ -21,7 +21,7 @@ from altd.vision.localise import fitted_profile, locate_in
 from altd.vision.misfit import hidden_px, misfit_of
 from altd.vision.settings import SpotSettings
 
-_MAX_SIGMA_RATIO = 1.5
+MAX_SIGMA_RATIO = 1.5
 """Maximum sigma of an ordinary spot over the median: print and speckle do not move a dim spot more."""
 _ITERATIONS = 3
 MIN_LEARNT_SHARE = 0.9
@@ -84,7 +84,7 @@ def weighted_nodes(
         shares = np.array([learnt.of_spot(*node.spot_px) for node in nodes])
         even = np.where(shares < MIN_LEARNT_SHARE, _UNLEARNT_RATIO, 1.0)
     relative = even
-    uneven = sigmas_px > _MAX_SIGMA_RATIO * np.median(sigmas_px)
+    uneven = sigmas_px > MAX_SIGMA_RATIO * np.median(sigmas_px)
     if uneven.any():
         hull_mm = convex_hull_mm(places_mm)
         for _ in range(_ITERATIONS):

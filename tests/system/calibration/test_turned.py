@@ -8,6 +8,7 @@ import math
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from support.cli import altd_here
@@ -82,9 +83,7 @@ def test_two_scans_remove_it_to_a_hundredth_of_the_accuracy_that_is_required(
     _, both = calibrations
     for zero in zero_mm_per_m(both):
         assert math.degrees(abs(zero) * 1e-3) < 0.005
-    assert both.limits.beam_normal_mm_per_m is not None
-    of_seats = 0.1 / math.sqrt(2)  # the mean of two seatings
-    assert 0.002 < math.sqrt(both.limits.beam_normal_mm_per_m**2 - of_seats**2) < 0.02
+    assert 0.002 < sigma_mm_per_m(both) < 0.02
     assert both.limits.stage_scale_ppm == 120.0, "a turned unit does not show the stage's scale"
 
 
@@ -109,6 +108,30 @@ def test_a_scan_that_only_says_that_the_unit_was_turned_is_refused(
     said = altd_here("calibrate", scans[0], forged, "-o", tmp_path / "c.json")
     assert (said.status, (tmp_path / "c.json").exists()) == (2, False)
     assert "was the unit turned by 180° about z, and nothing else moved?" in said.err
+
+
+def test_spots_that_the_border_cuts_do_not_hide_the_turn(
+    calibrations: tuple[Calibration, Calibration], scans: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """The front camera's picture ends half a millimetre below the middles of the outer row's spots."""
+    front, _ = calibrations[0].targets
+    height = round(front.map.to_px(front.map.hull_mm)[:, 1].max() + 0.5 * front.px_per_mm)
+    cut = [shutil.copytree(path, tmp_path / path.name) for path in scans]
+    for path in cut:
+        header = json.loads((path / "recording.json").read_text())
+        header["cameras"]["front"]["height"] = height
+        (path / "recording.json").write_text(json.dumps(header))
+        for file in (path / "front").iterdir():
+            cv2.imwrite(str(file), cv2.imread(str(file), cv2.IMREAD_UNCHANGED)[:height])
+    both = calibrate([open_recording(path) for path in cut])
+    assert any("its spot is known worse" in line for line in both.remarks)
+    assert sigma_mm_per_m(both.calibration) < 1.3 * sigma_mm_per_m(calibrations[1])
+
+
+def sigma_mm_per_m(calibration: Calibration) -> float:
+    """Of the tilt, without the two seatings."""
+    assert calibration.limits.beam_normal_mm_per_m is not None
+    return math.sqrt(calibration.limits.beam_normal_mm_per_m**2 - 0.1**2 / 2)
 
 
 def test_a_turned_scan_of_one_target_shows_no_tilt_and_is_refused(
