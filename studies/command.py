@@ -30,7 +30,7 @@ STUDIES = {
     "fig-3.5": 2,
     "fig-3.17": 22,
     "fig-3.19": 22,
-    "averaging": 44,
+    "averaging": 80,
     "sigma-now": 306,
     "output-now": 103,
     "ambient": 64,
