@@ -29,7 +29,7 @@ STUDIES = {
     "table-3.4": 183,
     "fig-3.5": 2,
     "fig-3.17": 22,
-    "fig-3.19": 22,
+    "fig-3.19": 80,
     "averaging": 80,
     "sigma-now": 306,
     "output-now": 103,

@@ -13,6 +13,8 @@ from support.places import ROOT
 from altd.calibration.report.budget import budget_of
 from altd.errors import BadInputError
 from altd.instruments.planar.homography import apply_homography
+from altd.mapping.grid import convex_hull_mm
+from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Limits
 from hw_sim.beam import BeamPose
 from studies import budget, chessboard
@@ -22,6 +24,7 @@ from studies.budget import monte_carlo
 from studies.conic import fit_c2
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
+from studies.fig_3_19 import balance_px2
 from studies.learnt_pattern import Power, left
 from studies.planar_errors import direct_linear_transform
 from studies.table_2_1 import error_statistics
@@ -100,6 +103,21 @@ def test_dlt_is_exact_on_exact_points(count: int) -> None:
     source = rng.uniform(-1.0, 1.0, (count, 2))
     found = direct_linear_transform(source, apply_homography(wanted, source))
     assert found / found[2, 2] == pytest.approx(wanted / wanted[2, 2], abs=1e-9)
+
+
+def test_the_balance_of_misfit_and_covariance_is_the_error_at_the_nodes() -> None:
+    """On average over noise, for a map of a degree that is too low, right, and too high."""
+    rng, noise_px = np.random.default_rng(5), 0.1
+    nodes_mm = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 20.0
+    true_px = 3.0 * nodes_mm + 1e-5 * nodes_mm**3
+    for degree in ((1, 1), (3, 3), (4, 3)):
+        estimated, actual = [], []
+        for _ in range(100):
+            noisy_px = true_px + rng.normal(0.0, noise_px, true_px.shape)
+            fit = fit_tensor_map(nodes_mm, noisy_px, convex_hull_mm(nodes_mm), degree)
+            estimated.append(balance_px2(fit, noise_px))
+            actual.append(np.mean(np.square(fit.map.to_px(nodes_mm) - true_px)))
+        assert np.mean(estimated) == pytest.approx(np.mean(actual), rel=0.05, abs=2e-4)
 
 
 def test_statistics_of_errors_are_of_the_repeats_of_a_camera_and_the_std_is_of_signed_ones() -> None:
