@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from hw_sim.beam import BeamFlaws
+from hw_sim.optics import WAVELENGTH_NM
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,6 +13,7 @@ class Hardness:
     - ``speckle_contrast``, ``speckle_mm``: speckle of the laser's own, see ``LaserSpeckle``.
     - ``jitter_mm``, ``bleed_mm``: the dots of a digital print, see ``PrintFlaws``.
     - ``filter_nm``: full width at half maximum of the cameras' band-pass filters; 0 for none.
+    - ``laser_nm``, ``filter_centre_nm``: wavelengths of the laser, and of the filters' centre.
     - ``filter_tilt_mrad``: tilt of the filters against the lens axis, towards the picture's right.
     - ``glare_share``: the share of a spot's light that the lens spreads over a wide kernel.
     - ``instants``: instants of an exposure; the picture of a moving spot is their mean.
@@ -24,6 +26,8 @@ class Hardness:
     jitter_mm: float = 0.0
     bleed_mm: float = 0.0
     filter_nm: float = 0.0
+    laser_nm: float = WAVELENGTH_NM
+    filter_centre_nm: float = WAVELENGTH_NM
     filter_tilt_mrad: float = 0.0
     glare_share: float = 0.0
     instants: int = 1

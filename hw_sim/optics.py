@@ -9,7 +9,7 @@ from hw_sim.image import Image
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 
 WAVELENGTH_NM = 650.0
-"""Wavelength of the laser, and of the filter's centre at normal incidence."""
+"""Usual wavelength of the laser, and of the filter's centre at normal incidence."""
 
 EFFECTIVE_INDEX = 2.0
 """Effective index of an interference filter of metal oxides: 1.8 to 2.2."""
@@ -21,21 +21,29 @@ GLARE_SIGMA_PX = 60.0
 GLARE_CELL_PX = 16
 
 
-def transmission(tan_angle: npt.ArrayLike, width_nm: float, source_nm: float = 0.0) -> FloatArray:
-    """Transmission of a filter relative to normal incidence, any shape.
+def transmission(
+    tan_angle: npt.ArrayLike,
+    width_nm: float,
+    source_nm: float = 0.0,
+    *,
+    laser_nm: float = WAVELENGTH_NM,
+    centre_nm: float = WAVELENGTH_NM,
+) -> FloatArray:
+    """Transmission of a filter relative to its centre at normal incidence, any shape.
 
     At angle θ its centre moves to λ₀·√(1 − sin²θ/n²) (thin-film interference with an effective index). The
     pass band is that of two cavities, 1/(1 + (2Δλ/width)⁴); ``width_nm`` is its full width at half maximum. A
-    source of full width ``source_nm`` (a Gaussian) is averaged over its spectrum; the laser is a line.
+    source of full width ``source_nm`` (a Gaussian) about ``laser_nm`` is averaged over its spectrum; the
+    laser is a line.
     """
     tan2 = np.square(np.asarray(tan_angle, dtype=np.float64))
     sin2 = tan2 / (1.0 + tan2)
-    shift_nm = WAVELENGTH_NM * (1.0 - np.sqrt(1.0 - sin2 / EFFECTIVE_INDEX**2))
+    shift_nm = centre_nm * (1.0 - np.sqrt(1.0 - sin2 / EFFECTIVE_INDEX**2))
     lines_nm = np.linspace(-1.5, 1.5, 31) * source_nm if source_nm else np.zeros(1)
     weights = np.exp(-4.0 * np.log(2.0) * np.square(lines_nm / source_nm)) if source_nm else np.ones(1)
     passed, straight = np.zeros_like(shift_nm), np.zeros(1)
     for line_nm, weight in zip(lines_nm, weights, strict=True):
-        for total, off_nm in ((passed, line_nm + shift_nm), (straight, line_nm)):
+        for total, off_nm in ((passed, line_nm + (laser_nm - centre_nm) + shift_nm), (straight, line_nm)):
             total += weight / (1.0 + np.square(np.square(off_nm * (2.0 / width_nm))))
     return np.asarray(passed / straight[0])
 

@@ -228,7 +228,9 @@ def _hardened(view: View, hard: Hardness, ink: Image | None, rng: np.random.Gene
     lens = view.lens
     if hard.filter_nm:
         tangent = lens.incidence_tangent(view.x_mm, view.y_mm, hard.filter_tilt_mrad * 1e-3)
-        laser = transmission(tangent, hard.filter_nm).astype(np.float32)
+        laser = transmission(
+            tangent, hard.filter_nm, laser_nm=hard.laser_nm, centre_nm=hard.filter_centre_nm
+        ).astype(np.float32)
         lamp = transmission(tangent, hard.filter_nm, LAMP_NM).astype(np.float32)
         view = replace(
             view,

@@ -113,8 +113,8 @@ def run(progress: Progress) -> Result:
         of="case",
         thesis_source="App. A.1, a specification without a test: ±1 mm, ±1 mm/m (0.0573°); laser of App. A.2",
         differs=(
-            "all light has 650 nm, in App. A.1 600 to 700 nm; the filters pass 25 and 10 nm, in App. A.2 "
-            "and A.3 11 and 15 nm"
+            "all light has 650 nm and the filters pass 25 and 10 nm; [other wavelengths and widths]"
+            "(filters.md) have a study of their own"
         ),
         columns=COLUMNS,
         rows=tuple(

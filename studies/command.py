@@ -36,6 +36,7 @@ STUDIES = {
     "ambient": 64,
     "laser": 87,
     "beam": 318,
+    "filters": 250,
     "chessboard": 59,
     "budget": 35,
     "kinematics": 10,

@@ -194,6 +194,20 @@ def test_the_filter_dims_an_oblique_laser_more_than_a_lamp() -> None:
     assert float(transmission(0.0, width_nm)) == float(transmission(0.0, width_nm, 25.0)) == 1.0
 
 
+def test_a_laser_beside_the_filters_centre_is_dimmed_and_an_angle_shifts_the_centre_towards_it() -> None:
+    """Two cavities pass 1/17 of a laser a whole width off; one of a shorter wavelength gains by the angle."""
+    laser = [float(transmission(0.0, 10.0, laser_nm=laser_nm)) for laser_nm in (640.0, 650.0, 660.0)]
+    assert laser == pytest.approx([1 / 17, 1.0, 1 / 17])
+    sine = 2.0 * math.sqrt(1.0 - (590.0 / 600.0) ** 2)
+    tangent = sine / math.sqrt(1.0 - sine**2)
+    assert float(transmission(tangent, 10.0, laser_nm=590.0, centre_nm=600.0)) == pytest.approx(1.0)
+    assert float(transmission(tangent, 10.0, laser_nm=610.0, centre_nm=600.0)) < 0.01
+    dimmed = Unit(replace(CLEAN, hard=Hardness(filter_nm=15.0, laser_nm=660.0)))
+    falloff = dimmed.imagers[CAMERAS[0]].view.laser_falloff
+    assert falloff is not None
+    assert float(falloff.max()) == pytest.approx(1 / (1 + (20 / 15) ** 4), rel=1e-3)
+
+
 def test_a_unit_behind_a_filter_has_a_fall_off_of_the_laser_and_another_of_the_lamp(clean: Unit) -> None:
     filtered = Unit(replace(CLEAN, hard=Hardness(filter_nm=25.0)))
     for camera in CAMERAS:
