@@ -21,7 +21,7 @@ MAX_CHEAP_CPU_S = 10
 
 STUDIES = {
     "conic": 8,
-    "table-2.1": 72,
+    "table-2.1": 80,
     "planar-errors": 190,
     "table-3.1": 224,
     "table-3.2": 28,

@@ -17,6 +17,7 @@ from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Limits
 from hw_sim.beam import BeamPose
+from hw_sim.double_triangle import MachineFlaws
 from studies import budget, chessboard
 from studies.averaging import sliding_mean
 from studies.beam import grown, slanted_poses
@@ -27,7 +28,7 @@ from studies.fig_3_17 import angle_error_deg
 from studies.fig_3_19 import balance_px2
 from studies.learnt_pattern import Power, left
 from studies.planar_errors import direct_linear_transform
-from studies.table_2_1 import error_statistics
+from studies.table_2_1 import driven, error_statistics
 from studies.table_3_1 import STEP_MM, displaced_poses
 from studies.table_3_3 import between_nodes
 from studies.table_3_4 import principal_components
@@ -118,6 +119,10 @@ def test_the_balance_of_misfit_and_covariance_is_the_error_at_the_nodes() -> Non
             estimated.append(balance_px2(fit, noise_px))
             actual.append(np.mean(np.square(fit.map.to_px(nodes_mm) - true_px)))
         assert np.mean(estimated) == pytest.approx(np.mean(actual), rel=0.05, abs=2e-4)
+
+
+def test_the_machine_without_errors_is_driven_as_eq_2_64_says() -> None:
+    assert driven(1, MachineFlaws()) == pytest.approx((18.75, -40.91, 0.0), abs=0.005)
 
 
 def test_statistics_of_errors_are_of_the_repeats_of_a_camera_and_the_std_is_of_signed_ones() -> None:
