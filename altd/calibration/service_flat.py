@@ -85,7 +85,7 @@ class _Sums:
 
 
 @dataclass(frozen=True, slots=True)
-class _Service:
+class Service:
     """One target in a recording of service; ``before`` is its calibration without it.
 
     ``rows`` are its frames without light of the LEDs, by the exposure's sequence.
@@ -112,6 +112,8 @@ class _Service:
         """Return a spot of the usual form; what the present flat lacks has a part in it."""
         spots = [self.placed(self.recording.frame(self.rows[sequence]), target) for sequence in sequences]
         known = [spot for spot in spots if spot is not None]
+        if not known:
+            raise BadInputError(self.recording.path, f"{target.name}: its own flat shows none of its spots")
         return _Placed(
             known[0].at_mm,
             np.median([spot.form for spot in known], axis=0),
@@ -169,8 +171,15 @@ class _Service:
     def mapped(self, flat: Flat, fiducials: Fiducials | None, progress: Progress) -> TargetCalibration:
         """Return the target with the map through its nodes, located by the flat; for the next pass only."""
         job, limits = replace(self.job, flat=flat), self.before.map
-        nodes = weighted_nodes(locate_nodes(job, progress).usable, job.frames.image_size, flat.learnt)
-        fitted = best_fit(nodes, job.frames.image_size, fiducials).map
+        nodes = locate_nodes(job, progress).usable
+        place = f"{self.recording.path}: {job.name}"
+        if len(nodes) < _MIN_NODES:
+            raise BadInputError(place, f"through its flat {len(nodes)} nodes of the scan have a spot")
+        try:
+            weighted = weighted_nodes(nodes, job.frames.image_size, flat.learnt)
+            fitted = best_fit(weighted, job.frames.image_size, fiducials).map
+        except ValueError as error:
+            raise BadInputError(place, f"through its flat the scan has no map: {error}") from error
         fitted = replace(fitted, margin_mm=limits.margin_mm, beyond_px_per_mm=limits.beyond_px_per_mm)
         return replace(self.before, flat=flat, localiser=job.localiser, map=fitted)
 
@@ -203,7 +212,10 @@ def with_service(
                 service.mapped(learnt[service.job.name], before.fiducials.get(service.job.name), progress)
                 for service in services
             ]
-    now = calibrate_scans(scanned, learnt, progress, before.fiducials)
+    try:
+        now = calibrate_scans(scanned, learnt, progress, before.fiducials)
+    except BadInputError as error:
+        raise BadInputError(recording.path, f"its flats do not fit the scan: {error.message}") from error
     scatters = {
         name: (_scatter_px(before, name, flat), _scatter_px(now, name, flat)) for name, flat in learnt.items()
     }
@@ -218,7 +230,7 @@ def with_service(
     return replace(now, remarks=(*now.remarks, *lines))
 
 
-def _new_places(services: Sequence[_Service], progress: Progress) -> list[int]:
+def _new_places(services: Sequence[Service], progress: Progress) -> list[int]:
     """Return the exposures that show every target at a new place.
 
     The same exposures of all targets, because they show the laser's power together. Raises BadInputError for
@@ -275,13 +287,13 @@ def check_service(scanned: Sequence[TargetFrames], flats: Mapping[str, Flat], re
 
 def _services(
     scanned: Sequence[TargetFrames], before: TargetsResult, recording: Recording
-) -> Iterator[_Service]:
+) -> Iterator[Service]:
     """Yield the targets of a recording of service."""
     cameras = {target.name: target.camera for target in recording.header.shown_targets}
     for frames, target in zip(scanned, before.targets, strict=True):
         if (camera := cameras.get(target.name)) is not None:
             rows = {row.sequence: row for row in recording.rows.of(camera) if not row.leds_on}
-            yield _Service(recording, camera, rows, Job(frames, PROFILE, None), target)
+            yield Service(recording, camera, rows, Job(frames, PROFILE, None), target)
 
 
 def _scatter_px(result: TargetsResult, name: str, flat: Flat) -> float:

@@ -23,6 +23,7 @@ from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.records import Frame
+from altd.vision.flat import Flat, Learnt
 
 REACH_MM = 36.0, 28.0
 SPOTS, BEAMS = 320, 20
@@ -164,6 +165,19 @@ def test_a_beam_that_stays_is_refused(
     rest = optics.write(tmp_path / "rest", "measurement", at_rest)
     with pytest.raises(BadInputError, match="1 exposures show both targets at a new place, 200 are needed"):
         with_service(scanned, before, open_recording(rest), no_progress)
+
+
+def test_a_flat_that_hides_the_scan_is_refused(
+    drawn: Drawn, scanned: Sequence[TargetFrames], before: TargetsResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = Learnt.of(np.ones((120, 188)), 0.1, 30.0)
+    black = Flat.from_response(np.zeros((480, 752)), "service", learnt=nothing)
+    rng = np.random.default_rng(1)
+    powers = {number: np.array([1.0, *rng.uniform(-30.0, 30.0, 2)]) for number in range(200)}
+    monkeypatch.setattr(service_flat, "_new_places", lambda *_: list(range(200)))
+    monkeypatch.setattr(service_flat.Service, "learn", lambda *_: (black, powers))
+    with pytest.raises(BadInputError, match="service: front: through its flat 0 nodes of the scan"):
+        with_service(scanned, before, open_recording(drawn.service), no_progress)
 
 
 def test_a_laser_whose_power_scatters_is_refused(
