@@ -69,7 +69,7 @@ def _joint_violations(measurement: Measurement) -> Iterator[str]:
         elif not is_definite(rows, slack):  # as if both were divided by the variances
             yield f"the joint {name} has a negative eigenvalue"
     diagonal = zip(joint.covariance.diagonal().tolist(), variances, strict=True)
-    if not all(abs(own / variance - 1.0) < _ROUNDING for own, variance in diagonal):
+    if not all(abs(own - variance) < _ROUNDING * variance for own, variance in diagonal):
         yield "the joint covariance is not that of the sigmas"
 
 

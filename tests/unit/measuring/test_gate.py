@@ -61,6 +61,12 @@ def test_the_joint_uncertainty_is_one_of_the_sigmas(joint: Joint, said: str) -> 
     assert found == (said and f"the joint {said}")
 
 
+def test_a_sigma_whose_square_is_zero_is_refused_without_a_division() -> None:
+    field = next(name for name in NUMBERS if name.startswith("sigma_"))
+    said = admitted(replace(measured(replace(BEAM, **{field: 1e-170})), joint=JOINT))
+    assert "the joint covariance is not that of the sigmas" in said
+
+
 @pytest.mark.parametrize("sigma", [0.0, -0.001])
 @pytest.mark.parametrize("field", [name for name in NUMBERS if name.startswith("sigma_")])
 def test_a_sigma_is_positive(field: str, sigma: float) -> None:
