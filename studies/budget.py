@@ -13,11 +13,11 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.report.budget import Budget, beams_of, budget_of
 from altd.calibration.result import CalibrationResult
 from altd.instruments.beam.solver import fit_beam
-from altd.instruments.beam.systematics import ALUMINIUM_PER_K
 from altd.mapping.tensor_map import tensor_basis
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.reader import open_recording
 from altd.records import FloatArray, Limits, TargetPoint
+from altd.records.limits import ALUMINIUM_PER_K
 from hw_sim.scan import record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig

@@ -123,6 +123,9 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
     path = config.unit.calibration
     check_rights(path)
     calibration = load_calibration(path, config.unit.serial)
+    if config.installation.expansion.is_corrected and calibration.temperature_c is None:
+        text = "temperature_c is not stated, and [installation.expansion] corrects from it"
+        raise BadInputError(path, text)
     for target in config.targets:
         target_of(calibration, path, target.name)
         check_place(calibration, path, target.name, target.z_mm, target.glass)

@@ -18,7 +18,7 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.loading import load_config
 from altd.config.measuring import Maintenance, Measuring, Scan, SelfCheckSettings
-from altd.config.unit import Installation, Machine, MachinePoint, RowSettings, Target, Unit
+from altd.config.unit import Expansion, Installation, Machine, MachinePoint, RowSettings, Target, Unit
 from altd.config.whole import Config
 from altd.devices.aravis import AravisCameraSettings
 from altd.devices.camera_lamps import CameraLampsSettings
@@ -35,6 +35,7 @@ __all__ = [
     "CameraLampsSettings",
     "Config",
     "ConsolePortSettings",
+    "Expansion",
     "ExposureSettings",
     "GrblStageSettings",
     "HistorySettings",

@@ -12,6 +12,7 @@ from altd.errors import escaped
 from altd.files.table import Millimetres, Name, OffsetDegrees, Table, complaint
 from altd.recording.header import TargetHeader, UnitHeader
 from altd.records import GLASS_INDEX, Glass
+from altd.records.limits import ALUMINIUM_PER_K
 
 
 def _printable(serial: str) -> str:
@@ -132,6 +133,29 @@ def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
     return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
 
+_PpmPerK = Annotated[float, Field(ge=-100, le=100)]
+_SigmaPpmPerK = Annotated[float, Field(gt=0, le=100)]
+
+
+class Expansion(Table):
+    """Linear thermal expansion (`budget.md`). A known one is corrected, one of 0 is in sigma alone."""
+
+    distance_ppm_per_k: _PpmPerK = 0.0
+    """Growth of the distances between the targets, ppm/K."""
+    distance_sigma_ppm_per_k: _SigmaPpmPerK = 1e6 * ALUMINIUM_PER_K
+    """Standard uncertainty of it; aluminium's expansion if nothing is known."""
+    view_ppm_per_k: _PpmPerK = 0.0
+    """Growth of the part of a target that a pixel sees, ppm/K, as the camera moves away. Not with
+    `compensate`."""
+    view_sigma_ppm_per_k: _SigmaPpmPerK = 1e6 * ALUMINIUM_PER_K
+    """Standard uncertainty of it."""
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether an expansion is known."""
+        return bool(self.distance_ppm_per_k or self.view_ppm_per_k)
+
+
 class Installation(Table):
     """Sign and zero for the controller: sign first, then offset."""
 
@@ -149,7 +173,14 @@ class Installation(Table):
     offset_pitch_deg: OffsetDegrees = 0.0
     thermometer: Name | None = None
     """Thermometer on the frame between the targets, a name in ``[[thermometers]]``: with the calibration's
-    temperature, its expansion enters sigma."""
+    temperature, its expansion is corrected, or enters sigma."""
+    expansion: Expansion = Expansion()
+
+    @model_validator(mode="after")
+    def _check_thermometer(self) -> Self:
+        if self.expansion.is_corrected and self.thermometer is None:
+            raise complaint((("expansion",), "is corrected by a thermometer; add installation.thermometer"))
+        return self
 
     @property
     def signs(self) -> dict[str, Literal[-1, 1]]:

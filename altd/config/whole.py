@@ -59,6 +59,13 @@ class Config(Table):
             raise complaint((("machine", "roll_deg"), text))
         return self
 
+    @model_validator(mode="after")
+    def _check_view(self) -> Self:
+        if self.self_check.compensate and self.installation.expansion.view_ppm_per_k:
+            text = "the self-check corrects the views already; possible: 0, or compensate = false"
+            raise complaint((("installation", "expansion", "view_ppm_per_k"), text))
+        return self
+
     @property
     def switched_targets(self) -> tuple[Target, ...]:
         """Targets with a switched glass, in beam order."""

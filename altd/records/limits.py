@@ -37,6 +37,8 @@ class Limits:
 
 
 LIMIT_KEYS = tuple(field.name for field in fields(Limits))
+ALUMINIUM_PER_K = 23.6e-6
+"""Linear expansion of aluminium 6061 (Callister, Materials Science and Engineering, Table B.6)."""
 MAX_LIMIT = 1000.0
 """Maximum of each uncertainty in its own unit; a larger value is a mistake of the unit."""
 

@@ -175,7 +175,10 @@ def _binned(parts_of: Array, parts: int) -> Array:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit; ``print_mm``: the left, right, lower and upper end of the print; ``warm_k`` warms all of it."""
+    """A unit; ``print_mm``: the left, right, lower and upper end of the print; ``warm_k`` warms all of it.
+
+    ``expansion_per_k`` is that of what holds each camera to its target, and of what holds the targets.
+    """
 
     seed: int = 1
     pitch_mm: float = 1.0
@@ -184,6 +187,7 @@ class Unit:
     print_mm: tuple[float, float, float, float] = (-1e3, 1e3, -1e3, 1e3)
     window_tilt_deg: float = 0.0
     warm_k: float = 0.0
+    expansion_per_k: tuple[float, float] = (_ALUMINIUM_PER_K, _ALUMINIUM_PER_K)
     rear_shift_mm: tuple[float, float] = (0.0, 0.0)
     """Shift of the rear camera's view, at the plate."""
     _cameras: dict[str, _Camera] = field(default_factory=dict, repr=False, compare=False)
@@ -197,7 +201,7 @@ class Unit:
         rng = np.random.default_rng([self.seed, name == "rear"])
         lens = rng.normal((-0.12, 0.05, 0, 0), (0.02, 0.02, 8e-4, 8e-4))
         tilt = rng.normal(0, 1.2, 2)
-        grown = 1 + _ALUMINIUM_PER_K * self.warm_k
+        grown = 1 + self.expansion_per_k[0] * self.warm_k
         is_front = name == "front"
         focal_mm, away_mm = (8.0, 360.0 * grown) if is_front else (5.7, 256.0 * grown)
         slant = np.tan(np.deg2rad(self.window_tilt_deg)) if is_front else 0.0
@@ -232,7 +236,7 @@ class Unit:
     def light(self, name: str, beam: Beam, scene: Scene, t_s: float) -> Array:
         """Return the expected light of an exposure that ends at ``t_s``, parts of the full scale."""
         camera = self.camera(name)
-        at_mm = 0.0 if name == "front" else DISTANCE_MM * (1 + _ALUMINIUM_PER_K * self.warm_k)
+        at_mm = 0.0 if name == "front" else DISTANCE_MM * (1 + self.expansion_per_k[1] * self.warm_k)
         film = scene.film if name == "front" else scene.rear_film
         x, y = camera.x_mm, camera.y_mm
         total = np.zeros_like(x)

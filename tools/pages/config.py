@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from altd.config import (
     Config,
     ConsolePortSettings,
+    Expansion,
     HistorySettings,
     HttpSettings,
     Installation,
@@ -70,6 +71,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ("[measuring]", Measuring, ""),
     ("[installation]", Installation, "Default: the beam in the unit frame."),
+    ("[installation.expansion]", Expansion, ""),
     ("[machine]", Machine, "Without the table: no points."),
     ("[[machine.points]]", MachinePoint, "Up to eight points."),
     ("[chain]", RowSettings, 'With `instrument = "chain"` alone: `chain.md`.'),

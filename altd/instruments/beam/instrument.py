@@ -19,7 +19,7 @@ from altd.instruments.beam.solver import (
     joint_jacobian_mm_per_px,
     line_gain,
 )
-from altd.instruments.beam.systematics import vibration_mm
+from altd.instruments.beam.systematics import Warmth, vibration_mm
 from altd.measuring.calibration import Calibration
 from altd.measuring.instrument import Solution
 from altd.measuring.spot_shape import shape_doubts_mm
@@ -28,7 +28,6 @@ from altd.records import (
     Fault,
     FaultCause,
     FloatArray,
-    Limits,
     MeanSpots,
     Quantities,
     Quantity,
@@ -168,16 +167,15 @@ _CLOCKS_S = 0.5e-3
 _MARGIN_SIGMAS = 3.0
 _MAX_MARGIN_MM_PER_M = 1.0
 """Required accuracy, mm/m (App. A.1): a beam may exceed a range by its uncertainty, up to this limit."""
-_THERMOMETER_K = 1.0
-"""Standard uncertainty of the difference of two temperatures of the frame: its parts are not equally warm."""
 
 
 class BeamInstrument:
     """Solver without state; see ``measuring.instrument.Instrument``.
 
     A beam whose scatter exceeds ``measuring.max_sigma_…`` is a fault. ``installation`` converts the beam from
-    the unit frame to the coordinates of the controller. ``celsius`` returns the frame's temperature, None if
-    it is not known; its difference from that of the calibration replaces the stated ``temperature_k``. An
+    the unit frame to the coordinates of the controller. ``celsius`` returns the temperature that its
+    thermometer reads on the frame, None if it is not known: by its difference from that of the calibration
+    the frame's expansion is corrected, and its uncertainty replaces the stated ``temperature_k``. An
     inclinometer adds the sigma of roll to the quantities, ``machine`` adds its points.
     """
 
@@ -205,7 +203,8 @@ class BeamInstrument:
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
         """Return the beam through the window's mean spots, or the fault that prevents it."""
-        points = self._points(mean)
+        warmth = self._warmth
+        points = self._points(mean, 1.0 if warmth is None else warmth.view_growth)
         if isinstance(points, Fault):
             return points
         targets = [self._calibration[target] for target in mean.targets]
@@ -213,14 +212,17 @@ class BeamInstrument:
         if isinstance(doubts_mm, Fault):
             return doubts_mm
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
-        z_mm = [target.z_mm for target in targets]
+        growth = 1.0 if warmth is None else warmth.distance_growth
+        z_mm = [growth * target.z_mm for target in targets]
         plane_mm, refraction = self._installation.reference_plane_mm, self._refraction
+        if refraction is not None and growth != 1.0:
+            refraction = refraction.grown(growth)
         hidden_mm = None
         if mean.is_even and any(self._vibration):
             own_clocks_s = 0.0 if self._measuring.pair_by == "sequence" else _CLOCKS_S
             hidden_mm = vibration_mm(z_mm, *self._vibration, math.hypot(mean.apart_s, own_clocks_s))
         try:
-            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction, hidden_mm)
+            beam = fit_beam(z_mm, points, covariance, plane_mm, self._stated, refraction, hidden_mm, warmth)
         except np.linalg.LinAlgError:
             return Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
         if (unsteady := self._too_uncertain(beam)) is not None:
@@ -250,14 +252,15 @@ class BeamInstrument:
         )
 
     @property
-    def _limits(self) -> Limits:
-        """The stated limits, with the frame's temperature now if it is known."""
-        now_c = None if self._calibrated_c is None else self._celsius()
-        if now_c is None or self._calibrated_c is None:
-            return self._stated
-        return replace(self._stated, temperature_k=math.hypot(now_c - self._calibrated_c, _THERMOMETER_K))
+    def _warmth(self) -> Warmth | None:
+        """Warmth of a frame that has a thermometer; None: as the limits state."""
+        if self._calibrated_c is None or self._installation.thermometer is None:
+            return None
+        return Warmth.measured(
+            self._celsius(), self._calibrated_c, self._stated.temperature_k, self._installation.expansion
+        )
 
-    def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
+    def _points(self, mean: MeanSpots, growth: float) -> list[TargetPoint] | Fault:
         points = []
         for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
             point = self._calibration[target].point(float(u_px), float(v_px))
@@ -266,6 +269,8 @@ class BeamInstrument:
                 return Fault(Reason.OUT_OF_RANGE, detail=detail)
             if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
                 return Fault(Reason.IMPLAUSIBLE, target, doubt)
+            if growth != 1.0:
+                point = replace(point, x_mm=growth * point.x_mm, y_mm=growth * point.y_mm)
             points.append(point)
         return points
 

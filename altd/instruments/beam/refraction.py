@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -63,6 +63,10 @@ class Refraction:
             if target.glass and target.glass.thickness_mm
         )
         return cls(panes) if panes else None
+
+    def grown(self, factor: float) -> Self:
+        """Glass of a unit whose targets are ``factor`` times as far apart."""
+        return replace(self, panes=tuple((factor * pane_mm, glass) for pane_mm, glass in self.panes))
 
     def displaced_mm(self, slopes: FloatArray, z_mm: Sequence[float]) -> tuple[FloatArray, FloatArray]:
         """Sum of d at each of T targets (2 T,), mm, and its derivatives by the slopes (2 T, 2)."""

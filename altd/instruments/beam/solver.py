@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from altd.instruments.beam.refraction import Refraction
-from altd.instruments.beam.systematics import effects_mm
+from altd.instruments.beam.systematics import Warmth, effects_mm
 from altd.records import FloatArray, Limits, MeanSpots, TargetPoint
 from altd.records.limits import NO_LIMITS
 
@@ -128,6 +128,7 @@ def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
     limits: Limits = NO_LIMITS,
     refraction: Refraction | None = None,
     vibration_mm: FloatArray | None = None,
+    warmth: Warmth | None = None,
 ) -> Beam:
     """Fit a straight line to T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
 
@@ -135,7 +136,8 @@ def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
     line passes exactly through two points. ``covariance_mm2`` is the random part; ``limits``, and thickness
     and index of glass, add errors that the calibration cannot show. Behind the glass of ``refraction`` the
     points are displaced: the line is that of the beam in front of it. ``vibration_mm`` is from
-    ``systematics.vibration_mm``, where the scatter does not show it.
+    ``systematics.vibration_mm``, where the scatter does not show it. ``warmth`` replaces the limit of the
+    temperature; ``z_mm`` and ``points`` contain its correction.
     """
     measured = np.array([(point.x_mm, point.y_mm) for point in points])
     if refraction is None:
@@ -151,7 +153,8 @@ def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
     per_slope_deg = math.degrees(1 / (1 + slope_x**2)), math.degrees(1 / (1 + slope_y**2))
     scatter = covariance
     random_x, random_yaw, random_y, random_pitch = _sigmas(np.diag(scatter), per_slope_deg)
-    effects = {} if limits == NO_LIMITS else effects_mm(limits, z_mm, measured, (slope_x, slope_y))
+    stated = limits != NO_LIMITS or warmth is not None
+    effects = effects_mm(limits, z_mm, measured, (slope_x, slope_y), warmth) if stated else {}
     if refraction is not None:
         effects |= refraction.effects_mm(line[1::2], z_mm)
     if vibration_mm is not None:

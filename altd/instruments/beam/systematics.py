@@ -4,21 +4,80 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
+from altd.config import Expansion
 from altd.records import FloatArray, Limits
 
+_OPERATION_C = (-10.0, 60.0)
+"""Specified temperatures of operation (App. A.1)."""
+_THERMOMETER_K = 1.0
+"""Standard uncertainty of the difference of two temperatures of the frame: its parts are not equally warm."""
 _TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
 """Factors from the unit of each limit to a dimensionless number."""
-ALUMINIUM_PER_K = 23.6e-6
-"""Linear expansion of aluminium 6061 (Callister, Materials Science and Engineering, Table B.6)."""
 _HIGHEST_HZ = 130.0
 """Highest frequency of a vibration; an exposure of some ms averages over higher ones."""
 
 
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """Temperature of the frame above that of its calibration, its uncertainty (1 sigma), and the expansion.
+
+    A frame that is warmer moves the cameras from their targets, so each pixel sees a larger part of the
+    target, about the zero of the unit frame, and moves the targets from each other.
+    """
+
+    by_k: float = 0.0
+    sigma_k: float = 0.0
+    expansion: Expansion = field(default_factory=Expansion)
+
+    @classmethod
+    def measured(
+        cls, now_c: float | None, calibrated_c: float, stated_k: float | None, expansion: Expansion
+    ) -> Self:
+        """Warmth by a thermometer on the frame.
+
+        Without a reading sigma has what was stated, or else all temperatures of operation. A reading beyond
+        these is in sigma, too, and nothing is corrected by it: a broken sensor may read 85 °C.
+        """
+        low_c, high_c = _OPERATION_C
+        if now_c is None:
+            any_k = math.hypot((low_c + high_c) / 2 - calibrated_c, (high_c - low_c) / math.sqrt(12.0))
+            return cls(0.0, any_k if stated_k is None else stated_k, expansion)
+        if low_c <= now_c <= high_c:
+            return cls(now_c - calibrated_c, _THERMOMETER_K, expansion)
+        return cls(0.0, math.hypot(now_c - calibrated_c, _THERMOMETER_K), expansion)
+
+    @property
+    def distance_growth(self) -> float:
+        """Growth of the distances between the targets, a factor."""
+        return 1.0 + 1e-6 * float(self.expansion.distance_ppm_per_k) * self.by_k
+
+    @property
+    def view_growth(self) -> float:
+        """Growth of the places on the targets that the pixels see, a factor."""
+        return 1.0 + 1e-6 * float(self.expansion.view_ppm_per_k) * self.by_k
+
+    def effects_mm(self, points_mm: FloatArray, lever_mm: FloatArray) -> FloatArray:
+        """Displacements (2 T, 3) by one sigma: of each expansion, and of the temperature, which is in both.
+
+        ``points_mm`` (2 T,) are the points, ``lever_mm`` (2 T,) the slopes times z.
+        """
+        of, warm_k = self.expansion, math.hypot(self.by_k, self.sigma_k)
+        both = self.sigma_k * (of.view_ppm_per_k * points_mm - of.distance_ppm_per_k * lever_mm)
+        view, distance = of.view_sigma_ppm_per_k * warm_k, of.distance_sigma_ppm_per_k * warm_k
+        return 1e-6 * np.column_stack([view * points_mm, distance * lever_mm, both])
+
+
 def effects_mm(
-    limits: Limits, z_mm: Sequence[float], points_mm: FloatArray, slopes: tuple[float, float]
+    limits: Limits,
+    z_mm: Sequence[float],
+    points_mm: FloatArray,
+    slopes: tuple[float, float],
+    warmth: Warmth | None = None,
 ) -> dict[str, FloatArray]:
     """Displacements (2 T, n) of the points, mm, by one sigma of each limit that is not 0, by key.
 
@@ -27,9 +86,8 @@ def effects_mm(
     stage whose scale is long by s puts the beam at (1 + s) times the stated position on every target. Axes
     out of square by q move x by q · y. A beam tilted from the normal by t meets the target at z with an error
     of t · z. A target farther away by d is met d · slope further along. These errors have one column for x
-    and one for y; the distance has one column per target after the first. A frame that is warmer moves the
-    cameras from their targets, which shrinks all pictures about the zero of the unit frame (first column),
-    and the targets from each other (second column).
+    and one for y; the distance has one column per target after the first. ``warmth`` replaces the
+    limit ``temperature_k``.
     """
     z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
     effects = {}
@@ -47,9 +105,10 @@ def effects_mm(
         for farther in range(1, len(z)):
             columns[2 * farther : 2 * farther + 2, farther - 1] = slopes
         effects["target_distance_mm"] = sigma * columns
-    if sigma := limits.temperature_k:
-        columns = np.column_stack([points_mm.ravel(), np.outer(z, slopes).ravel()])
-        effects["temperature_k"] = sigma * ALUMINIUM_PER_K * columns
+    if warmth is None and limits.temperature_k:
+        warmth = Warmth(sigma_k=limits.temperature_k)
+    if warmth is not None:
+        effects["temperature_k"] = warmth.effects_mm(points_mm.ravel(), np.outer(z, slopes).ravel())
     return effects
 
 

@@ -165,6 +165,18 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     assert [target.name for target in load_calibration(output).targets] == ["front", "rear"]
 
 
+EXPANSION = """[[thermometers]]
+driver = "hwmon"
+name = "frame"
+chip = "tmp102"
+
+[installation]
+thermometer = "frame"
+expansion = { distance_ppm_per_k = 23.6 }
+
+[measuring]"""
+
+
 class TestBadInput:
     """One clear line on stderr that names file and place, exit status 2, no output, nothing half written."""
 
@@ -181,6 +193,11 @@ class TestBadInput:
                 "z_mm = 0.0",
                 "z_mm = 0.0\nglass_mm = 4.0",
                 "target 'front' was calibrated without glass behind it, not with 4 mm of glass (index 1.52)",
+            ),
+            (
+                "[measuring]",
+                EXPANSION,
+                "temperature_c is not stated, and [installation.expansion] corrects from it",
             ),
             ('serial = "TEST-1"', 'serial = "OTHER"', "is for unit 'TEST-1', this is unit 'OTHER'"),
             ('"front"\nz_mm', '"middle"\nz_mm', "does not know target 'middle'"),

@@ -79,7 +79,10 @@ offset_x_mm = «1e6                   # 1000000.0 is too large
 offset_yaw_deg = «90                 # 90 is too large
 offset_yaw_deg = «90.0               # 90.0 is too large; possible: number from -45 to 45
 offset_y_mm = «1e200                 # 1e+200 is too large; possible: number from -100000 to 100000
+expansion = «{ distance_ppm_per_k = 23.6 }; -thermometer # is corrected by a thermometer; add
 thermometer = «"hosing"              # "hosing" is not the name of a thermometer; did you mean `housing`?
+expansion = { distance_ppm_per_k = «230.0 } # .distance_ppm_per_k: 230.0 is too large
+expansion = { view_sigma_ppm_per_k = «0.0 } # .view_sigma_ppm_per_k: 0.0 is too small
 [machine]
 roll_deg = «2.0; roll_sigma_deg = 0.1 # is already measured by the inclinometer; possible: without
 roll_sigma_deg = «-1.0               # -1.0 is too small
@@ -277,6 +280,12 @@ _NAMES = ("", " ", "unit.example", "1.2.3", "300.1.1.1", "0.0.0.0:80", "*")
 OTHERS: tuple[tuple[str, str, str, str], ...] = (
     ('[unit]\nserial = "TEST-1"', "«[unit]", "unit.serial", "this key is missing"),
     ("[unit]", "«[uint]", "uint", "no such table;"),
+    (
+        "[self_check]\n",
+        "[self_check]\ncompensate = true\n[installation.expansion]\nview_ppm_per_k = «9\n",
+        "installation.expansion.view_ppm_per_k",
+        "the self-check corrects the views already; possible: 0, or compensate = false",
+    ),
     ("[measuring]", "«[chain]\n\n[measuring]", "chain", 'is for instrument = "chain"'),
     (
         '[cameras.front]\ndriver = "v4l2"',

@@ -1,15 +1,18 @@
 """The beam through two points, and limits of a calibration in its uncertainty."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.evidence import calibration
 
-from altd.config import Measuring
+from altd.config import Expansion, Installation, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.instruments.beam.solver import Beam, fit_beam, joint_covariance_mm2
+from altd.instruments.beam.solver import KEYS, Beam, fit_beam, joint_covariance_mm2
+from altd.instruments.beam.systematics import Warmth
+from altd.measuring.instrument import Solution
 from altd.records import Limits, MeanSpots, TargetPoint
 
 
@@ -128,23 +131,75 @@ def test_a_warmer_frame_adds_its_smaller_pictures_and_its_longer_distance() -> N
     assert added == pytest.approx(errors, rel=2e-3, abs=1e-9)
 
 
-@pytest.mark.parametrize(("now_c", "warmer_k"), [(61.0, 40.0), (21.0, 0.0), (None, 5.0)])
-def test_a_thermometer_on_the_frame_replaces_the_stated_temperature(
-    now_c: float | None, warmer_k: float
-) -> None:
-    limits = Limits(stage_scale_ppm=50.0, temperature_k=5.0)
+def solved(places_mm: Sequence[Sequence[float]], now_c: float | None, **changes: object) -> Solution:
+    """Solution of a unit, calibrated at 21 °C and stated to 5 K, whose cold maps see the spots there."""
+    limits = Limits(temperature_k=5.0)
     made = replace(calibration(), limits=limits, temperature_c=21.0)
-    front, rear = (
-        target.map.to_px(np.array([place]))[0]
-        for target, place in zip(made.targets, [(40, 0), (40, 0)], strict=True)
-    )
-    spots = MeanSpots(
-        ("front", "rear"), np.array([front, rear]), 1e-4 * np.eye(4), 0, 20, 0, (None, None), (0.0, 0.0)
-    )
-    x = BeamInstrument(made, Measuring(), celsius=lambda: now_c).solve(spots).values["x_mm"]
-    unsure_k = warmer_k if now_c is None else math.hypot(warmer_k, 1.0)
-    of_limits = math.hypot(50e-6, 23.6e-6 * unsure_k) * 40
-    assert math.sqrt(x.sigma**2 - x.sigma_random**2) == pytest.approx(of_limits, rel=1e-3)
+    px = [of.map.to_px(np.array([place]))[0] for of, place in zip(made.targets, places_mm, strict=True)]
+    spots = MeanSpots(("front", "rear"), np.array(px), 1e-4 * np.eye(4), 0, 20, 0, (None, None), (0.0, 0.0))
+    installation = Installation(thermometer="frame", expansion=Expansion(**changes))
+    solution = BeamInstrument(made, Measuring(), installation, celsius=lambda: now_c).solve(spots)
+    assert isinstance(solution, Solution), solution
+    return solution
+
+
+@pytest.mark.parametrize(
+    ("now_c", "unsure_k"), [(60.0, math.hypot(39, 1)), (21.0, 1.0), (None, 5.0), (85.0, math.hypot(64, 1))]
+)
+def test_a_thermometer_on_the_frame_replaces_the_stated_temperature(
+    now_c: float | None, unsure_k: float
+) -> None:
+    x = solved([(40, 0), (40, 0)], now_c).values["x_mm"]
+    assert math.sqrt(x.sigma**2 - x.sigma_random**2) == pytest.approx(23.6e-6 * unsure_k * 40, rel=1e-3)
+
+
+EXPANSION = {
+    "distance_ppm_per_k": 30.0,
+    "distance_sigma_ppm_per_k": 0.01,
+    "view_ppm_per_k": 12.0,
+    "view_sigma_ppm_per_k": 0.01,
+}
+
+
+def seen_cold(warmer_k: float, distance: float, view: float) -> list[tuple[float, float]]:
+    """Places (x, y) at which the maps of a cold unit see a beam when it is warmer, ppm/K."""
+    farther, larger = 1 + 1e-6 * distance * warmer_k, 1 + 1e-6 * view * warmer_k
+    return [((-30.0 + SX * z * farther) / larger, (25.0 + SY * z * farther) / larger) for z in Z_MM]
+
+
+@pytest.mark.parametrize("now_c", [-10.0, 60.0])
+def test_a_known_expansion_is_corrected(now_c: float) -> None:
+    truth = [-30.0, 25.0, math.degrees(math.atan(SX)), math.degrees(math.atan(SY))]
+    corrected = solved(seen_cold(now_c - 21.0, 30.0, 12.0), now_c, **EXPANSION).values
+    assert [corrected[key].value for key in KEYS] == pytest.approx(truth, abs=2e-5)
+    uncorrected = solved(seen_cold(now_c - 21.0, 30.0, 12.0), now_c).values
+    assert abs(uncorrected["pitch_deg"].value - truth[3]) > 0.006
+    for key, true in zip(KEYS, truth, strict=True):
+        assert abs(uncorrected[key].value - true) < 1.3 * uncorrected[key].sigma
+
+
+def test_the_rest_of_a_corrected_expansion_is_in_sigma() -> None:
+    """One sigma of each expansion, and of the temperature, which is in both, by differences."""
+    seen = seen_cold(39.0, 30.0, 12.0)
+    right = solved(seen, 60.0, **EXPANSION)
+    unsure = EXPANSION | {"distance_sigma_ppm_per_k": 3.0, "view_sigma_ppm_per_k": 2.0}
+    added = solved(seen, 60.0, **unsure).values
+    changed = [
+        solved(seen_cold(39.0, 33.0, 12.0), 60.0, **EXPANSION),
+        solved(seen_cold(39.0, 30.0, 14.0), 60.0, **EXPANSION),
+        solved(seen_cold(40.0, 30.0, 12.0), 60.0, **EXPANSION),
+    ]
+    for key in KEYS:
+        value = right.values[key]
+        distance, view, kelvin = (each.values[key].value - value.value for each in changed)
+        assert added[key].sigma ** 2 - value.sigma**2 == pytest.approx(distance**2 + view**2, rel=0.01)
+        assert value.sigma**2 - value.sigma_random**2 == pytest.approx(kelvin**2, rel=0.01)
+
+
+def test_a_failed_thermometer_leaves_all_temperatures_of_operation_in_sigma() -> None:
+    """Even from −10 to +60 °C, calibrated at 21 °C: about 25 °C, so 4 K aside, with 70/√12 K."""
+    made = Warmth.measured(None, 21.0, None, Expansion(**EXPANSION))
+    assert (made.by_k, made.sigma_k) == (0.0, pytest.approx(math.hypot(4.0, 70.0 / math.sqrt(12.0))))
 
 
 def test_limits_do_not_move_the_beam_and_leave_its_scattering_part() -> None:
