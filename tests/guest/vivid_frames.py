@@ -1,22 +1,37 @@
 """Frames of a vivid camera as the driver delivers them: pixels to files, the rest as results."""
 
+import contextlib
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 from cameras import camera, nodes, outcome, v4l2_ctl
+from feeding import V4L2_BUF_TYPE_VIDEO_OUTPUT
 from support.guest import leave_results
+from support.jpegs import HEIGHT, SENT, WIDTH
 
+from altd.devices.v4l2 import abi
 from altd.devices.v4l2.camera import V4l2Camera
+from altd.devices.v4l2.image import code
+from altd.devices.v4l2.node import VideoNode
+from altd.ports import CameraTimeoutError
 
-DEVICE = nodes("vid-cap")[0]
+DEVICE, PLANES = nodes("vid-cap")
+LOOPBACK = nodes("Dummy video device")[0]
 GRAY_RAMP = 20
 
 
 def main() -> None:
-    v4l2_ctl(DEVICE, "-c", f"test_pattern={GRAY_RAMP},osd_text_mode=2")
+    for device in (DEVICE, PLANES):
+        v4l2_ctl(device, "-c", f"test_pattern={GRAY_RAMP},osd_text_mode=2")
     leave_results(
         {
-            "formats": {name: of_format(name) for name in ("GREY", "Y10", "Y12", "Y16")},
+            "formats": {
+                name: of_format(name) for name in ("GREY", "Y10", "Y12", "Y16", "YUYV", "UYVY", "NV12")
+            },
+            "planes": {name: of_format(name, PLANES, "planes-") for name in ("GREY", "Y16", "YUYV", "NV12")},
+            "jpegs": through_loopback(),
             "dropped": dropped(),
             "damaged": damaged(),
             "wrapped": wrapped(),
@@ -27,12 +42,12 @@ def main() -> None:
     )
 
 
-def of_format(name: str) -> dict[str, object]:
-    one = camera(DEVICE, pixel_format=name)
+def of_format(name: str, device: Path = DEVICE, prefix: str = "") -> dict[str, object]:
+    one = camera(device, pixel_format=name)
     one.open()
     frames = [one.next_frame(1.0) for _ in range(3)]
     one.close()
-    np.save(f"{name}.npy", frames[-1].pixels)
+    np.save(f"{prefix}{name}.npy", frames[-1].pixels)
     return {
         "bits": frames[-1].bits,
         "writeable": frames[-1].pixels.flags.writeable,
@@ -41,6 +56,28 @@ def of_format(name: str) -> dict[str, object]:
         "exposure_range": one.exposure_range,
         "exposure_ms": frames[-1].exposure_ms,
     }
+
+
+def through_loopback() -> list[int]:
+    """JPEGs, with damaged ones between them."""
+    feeding = VideoNode(LOOPBACK)
+    wanted = abi.v4l2_format(type=V4L2_BUF_TYPE_VIDEO_OUTPUT)
+    wanted.fmt.pix.width, wanted.fmt.pix.height = WIDTH, HEIGHT
+    wanted.fmt.pix.pixelformat = code("MJPG")
+    feeding.call(abi.VIDIOC_S_FMT, wanted)
+    os.write(feeding.descriptor, SENT[0])
+    one = camera(LOOPBACK, width=WIDTH, height=HEIGHT, pixel_format="MJPG")
+    one.open()
+    frames = []
+    for picture in SENT:
+        os.write(feeding.descriptor, picture)
+        with contextlib.suppress(CameraTimeoutError):
+            while True:
+                frames.append(one.next_frame(0.1))
+    one.close()
+    feeding.close()
+    np.save("MJPG.npy", np.array([frame.pixels for frame in frames]))
+    return [frame.sequence for frame in frames]
 
 
 def sequences(one: V4l2Camera, count: int) -> list[int]:

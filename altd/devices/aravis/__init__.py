@@ -6,7 +6,7 @@ import ipaddress
 import re
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
@@ -60,6 +60,13 @@ def _camera_name(name: str) -> str:
     return name
 
 
+_PixelFormat = Literal[
+    "Mono8", "Mono10", "Mono12", "Mono16", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"
+]
+PIXEL_FORMAT_NAMES: tuple[str, ...] = get_args(_PixelFormat)
+"""Names of the pixel formats that altd can use."""
+
+
 class AravisCameraSettings(LiveCameraSettings):
     """A GigE Vision camera through Aravis. Needs the Debian packages that `cameras.md` names."""
 
@@ -73,8 +80,8 @@ class AravisCameraSettings(LiveCameraSettings):
     driver: Literal["aravis"]
     device: Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_camera_name)]
     """Serial number, IP address, id or user-defined name (`altd devices`)."""
-    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
-    """8, 10, 12 or 16 bits of grey."""
+    pixel_format: _PixelFormat = "Mono8"
+    """Grey of 8 to 16 bits, packed (`p`, `Packed`) or not."""
     offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
     """First column and row of the sensor, as in the calibration."""
     offset_y_px: Annotated[int, Field(ge=0, le=16384)] = 0

@@ -13,15 +13,14 @@ import threading
 import time
 from contextlib import suppress
 
-import numpy as np
-
 from altd.devices.aravis import AravisCameraSettings, gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.devices.aravis.gvcp import DiscoveredCamera, is_address
-from altd.devices.aravis.open_camera import BITS, OpenCamera, release, set_up
+from altd.devices.aravis.open_camera import OpenCamera, release, set_up
 from altd.devices.counting import FrameCounter
+from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.trigger_times import TriggerTimes
 from altd.ports import (
     CameraBusyError,
@@ -33,7 +32,7 @@ from altd.ports import (
     CameraTimeoutError,
     ExposureRange,
 )
-from altd.records import CameraIdentity, Frame, Origin, PixelArray
+from altd.records import CameraIdentity, Frame, Origin
 
 log = logging.getLogger("altd")
 
@@ -263,12 +262,13 @@ class AravisCamera:
         if t_ns is None:
             late = "frames are delayed, or the camera's clock was set back"
             raise CameraMistimedError(sequence, f"exposure {sequence} came late: {late}")
+        of, width = PIXEL_FORMATS[self._settings.pixel_format], self._settings.width
         return Frame(
             self.name,
             sequence,
             t_ns,
-            self._pixels(block),
-            BITS[self._settings.pixel_format],
+            of.pixels(block.data or b"", width, self._settings.height, of.line_bytes(width)),
+            of.bits,
             exposure_ms=opened.exposure_ms,
             gain_db=opened.gain_db,
             changing=self._changed_ns <= t_ns < self._settled_ns,
@@ -285,14 +285,6 @@ class AravisCamera:
         if trusted and not self._clock.trusted:
             log.warning("camera %s: its clock is not plausible; frames are stamped on arrival", self.name)
         return None if start_ns is None else start_ns + exposure_ns // 2
-
-    def _pixels(self, block: Block) -> PixelArray:
-        kind = np.dtype("u1" if BITS[self._settings.pixel_format] == 8 else "<u2")
-        pixels: PixelArray = np.frombuffer(block.data or b"", kind).reshape(
-            self._settings.height, self._settings.width
-        )
-        pixels.flags.writeable = False
-        return pixels
 
 
 def _origin(camera: DiscoveredCamera, device: Device) -> Origin:

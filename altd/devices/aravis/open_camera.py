@@ -7,16 +7,14 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from altd.devices.aravis import AravisCameraSettings, gvcp
+from altd.devices.aravis import PIXEL_FORMAT_NAMES, AravisCameraSettings, gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
 from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.devices.aravis.packets import PacketSocket
 from altd.devices.aravis.stream import Stream
+from altd.devices.pixels import PIXEL_FORMATS
 from altd.ports import CameraError, CameraLostError, CameraRefusedError, ExposureRange
-
-BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
-"""Bits of the unpacked formats: one byte or one little-endian word per pixel."""
 
 _MAX_RATE_ERROR = 0.02
 MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
@@ -80,7 +78,7 @@ def set_up(
         device.stop()
     for name, value in settings.features.items():
         device.set(name, value)
-    _set_format(device, settings.pixel_format)
+    _set_format(device, settings.pixel_format, settings.width)
     _set_region(device, settings)
     _set_trigger(device, settings)
     if settings.exposure.control != "camera":
@@ -101,7 +99,7 @@ def _start_stream(
     packet_bytes = device.settle_packet_size(settings.packet_bytes)
     if not MIN_PACKET_BYTES <= packet_bytes <= MAX_PACKET_BYTES:
         raise CameraRefusedError(f"packets of {packet_bytes} bytes: {MIN_PACKET_BYTES} to {MAX_PACKET_BYTES}")
-    image_bytes = settings.width * settings.height * (1 if BITS[settings.pixel_format] == 8 else 2)
+    image_bytes = settings.height * PIXEL_FORMATS[settings.pixel_format].line_bytes(settings.width)
     stream_format = StreamFormat(
         settings.width,
         settings.height,
@@ -152,10 +150,14 @@ def release(device: Device, stream: Stream | None, lock: threading.Lock, stop: b
         thread.join(_RELEASE_TIMEOUT_S)
 
 
-def _set_format(device: Device, wanted: str) -> None:
+def _set_format(device: Device, wanted: str, width: int) -> None:
+    try:
+        PIXEL_FORMATS[wanted].line_bytes(width)
+    except ValueError as error:
+        raise CameraRefusedError(str(error)) from None
     offered = device.choices("PixelFormat")
     if wanted not in offered:
-        fit = [name for name in offered if name in BITS]
+        fit = [name for name in offered if name in PIXEL_FORMAT_NAMES]
         raise CameraRefusedError(
             f"pixel_format {wanted}: the camera offers {', '.join(fit or offered) or 'none'}"
         )
@@ -280,7 +282,7 @@ def _examined(camera: DiscoveredCamera) -> FoundCamera:
         with suppress(CameraError, OSError):
             device = Device(gvcp.own_address_towards(camera.address), camera.address)
             try:
-                formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
+                formats = tuple(name for name in device.choices("PixelFormat") if name in PIXEL_FORMAT_NAMES)
             finally:
                 device.close()
     return FoundCamera(camera.id, camera.vendor, camera.model, camera.serial, camera.address, in_use, formats)

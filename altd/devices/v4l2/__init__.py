@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
 from altd.devices.settings import Driver, LiveCameraSettings
 from altd.files.table import ControlValue, Device
 from altd.ports import Camera, Clock
+
+_PixelFormat = Literal["GREY", "Y10", "Y12", "Y16", "Y10P", "Y12P", "YUYV", "UYVY", "NV12", "MJPG"]
+PIXEL_FORMAT_NAMES: tuple[str, ...] = get_args(_PixelFormat)
+"""Names of the pixel formats that altd can use, best first."""
 
 
 class V4l2CameraSettings(LiveCameraSettings):
@@ -23,8 +27,8 @@ class V4l2CameraSettings(LiveCameraSettings):
     driver: Literal["v4l2"]
     device: Device
     """Device path, preferably a stable one such as /dev/v4l/by-path/… (`altd devices`)."""
-    pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
-    """8, 10, 12 or 16 bits of grey."""
+    pixel_format: _PixelFormat = "GREY"
+    """Grey of 8 to 16 bits, packed (`P`) or not; of a colour camera its luminance."""
     controls: dict[str, ControlValue] = Field(default={})
     """Controls to set when the camera is opened, by the names in `altd devices`, such as a trigger input."""
 

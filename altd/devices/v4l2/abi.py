@@ -13,14 +13,28 @@ compares all of it with the headers, by a compiler.
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_char, c_int, c_int32, c_int64, c_long, c_uint8, c_uint32, c_uint64, c_ulong, c_void_p
+from ctypes import (
+    c_char,
+    c_int,
+    c_int32,
+    c_int64,
+    c_long,
+    c_uint8,
+    c_uint16,
+    c_uint32,
+    c_uint64,
+    c_ulong,
+    c_void_p,
+)
 
 V4L2_CAP_VIDEO_CAPTURE = 0x0000_0001
+V4L2_CAP_VIDEO_CAPTURE_MPLANE = 0x0000_1000
 V4L2_CAP_STREAMING = 0x0400_0000
 V4L2_CAP_DEVICE_CAPS = 0x8000_0000
 V4L2_CAP_TIMEPERFRAME = 0x1000
 
 V4L2_BUF_TYPE_VIDEO_CAPTURE = 1
+V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE = 9
 V4L2_MEMORY_MMAP = 1
 V4L2_BUF_FLAG_ERROR = 0x0000_0040
 V4L2_BUF_FLAG_TIMESTAMP_MASK = 0x0000_E000
@@ -80,9 +94,33 @@ class v4l2_pix_format(ctypes.Structure):
     )
 
 
+class v4l2_plane_pix_format(ctypes.Structure):
+    """Layout of one of several blocks of memory that a frame is in."""
+
+    _pack_ = 1
+    _fields_ = (("sizeimage", c_uint32), ("bytesperline", c_uint32), ("_reserved", c_uint16 * 6))
+
+
+class v4l2_pix_format_mplane(ctypes.Structure):
+    """Layout of a frame in up to eight blocks of memory, called planes."""
+
+    _pack_ = 1
+    _fields_ = (
+        ("width", c_uint32),
+        ("height", c_uint32),
+        ("pixelformat", c_uint32),
+        ("field", c_uint32),
+        ("_colorspace", c_uint32),
+        ("plane_fmt", v4l2_plane_pix_format * 8),
+        ("num_planes", c_uint8),
+        ("_colours", c_uint8 * 11),
+    )
+
+
 class _Format(ctypes.Union):
     _fields_ = (
         ("pix", v4l2_pix_format),
+        ("pix_mp", v4l2_pix_format_mplane),
         ("_raw_data", c_uint8 * 200),
         ("_window", c_void_p),  # another member has pointers, which set the union's alignment
     )
@@ -206,8 +244,24 @@ class timeval(ctypes.Structure):
     _fields_ = (("tv_sec", c_long), ("tv_usec", c_long))
 
 
+class _PlaneMemory(ctypes.Union):
+    _fields_ = (("mem_offset", c_uint32), ("_userptr", c_ulong))
+
+
+class v4l2_plane(ctypes.Structure):
+    """A plane of a buffer; its picture begins at ``data_offset``, which ``bytesused`` includes."""
+
+    _fields_ = (
+        ("bytesused", c_uint32),
+        ("length", c_uint32),
+        ("m", _PlaneMemory),
+        ("data_offset", c_uint32),
+        ("_reserved", c_uint32 * 11),
+    )
+
+
 class _Memory(ctypes.Union):
-    _fields_ = (("offset", c_uint32), ("_userptr", c_ulong))
+    _fields_ = (("offset", c_uint32), ("_userptr", c_ulong), ("planes", ctypes.POINTER(v4l2_plane)))
 
 
 class v4l2_buffer(ctypes.Structure):

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Self
 
 from altd.devices.counting import FrameCounter
+from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.v4l2 import V4l2CameraSettings, abi
 from altd.devices.v4l2.controls import Control, controls_of, set_controls
-from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
+from altd.devices.v4l2.image import Layout, Stamp, middle_of_exposure_ns
 from altd.devices.v4l2.node import VideoNode
 from altd.devices.v4l2.stream import Stream, set_format, set_rate
 from altd.ports import (
@@ -188,10 +189,13 @@ class V4l2Camera:
     def _frame(self, running: _Running, buffer: abi.v4l2_buffer) -> Frame | None:
         """Frame in a buffer; None when the driver reports it as damaged, or when it is too short."""
         flags = int(buffer.flags)
-        memory = running.stream.memory(buffer)
-        damaged = flags & abi.V4L2_BUF_FLAG_ERROR
-        if damaged or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
-            return None
+        with running.stream.data(buffer) as data:
+            if flags & abi.V4L2_BUF_FLAG_ERROR or len(data) < running.layout.frame_bytes:
+                return None
+            try:
+                pixels = running.layout.pixels(data)
+            except ValueError:
+                return None
         monotonic = flags & abi.V4L2_BUF_FLAG_TIMESTAMP_MASK == abi.V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC
         begun = flags & abi.V4L2_BUF_FLAG_TSTAMP_SRC_MASK == abi.V4L2_BUF_FLAG_TSTAMP_SRC_SOE
         t_ns = middle_of_exposure_ns(
@@ -205,7 +209,7 @@ class V4l2Camera:
             self.name,
             self._counter.number(buffer.sequence),
             t_ns,
-            running.layout.pixels(memory),
+            pixels,
             running.layout.pixel_format.bits,
             exposure_ms=running.exposure_ms,
         )

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.devices.nodes import check_duplicates, check_node
+from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.settings import details
-from altd.devices.v4l2 import V4l2CameraSettings
+from altd.devices.v4l2 import PIXEL_FORMAT_NAMES, V4l2CameraSettings
 from altd.devices.v4l2.controls import Control, controls_of
-from altd.devices.v4l2.image import PIXEL_FORMATS, Size, fourccs, sizes
+from altd.devices.v4l2.image import Size, fourccs, sizes
 from altd.devices.v4l2.node import VideoNode
 from altd.process.machine import Finding, Machine
 
@@ -67,11 +68,7 @@ def _camera_at(device: Path, path: Path) -> FoundCamera | None:
         if not node.streams:
             return None
         there = fourccs(node)
-        grey = {
-            name: tuple(sizes(node, known.fourcc))
-            for name, known in PIXEL_FORMATS.items()
-            if known.fourcc in there
-        }
+        grey = {name: tuple(sizes(node, name)) for name in PIXEL_FORMAT_NAMES if f"{name:<4}" in there}
         return FoundCamera(path, node.card, node.driver, node.serial, grey, tuple(controls_of(node).values()))
     finally:
         node.close()
@@ -105,7 +102,7 @@ def check(cameras: Mapping[str, V4l2CameraSettings], machine: Machine) -> Iterat
         bus = _usb_bus(camera.device, machine)
         if bus is not None:
             number, speeds[bus[0]] = bus
-            bytes_px = 1 if camera.pixel_format == "GREY" else 2
+            bytes_px = PIXEL_FORMATS[camera.pixel_format].bytes_per_pixel
             needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
             needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
     yield from check_duplicates("camera", {name: camera.device for name, camera in cameras.items()}, machine)

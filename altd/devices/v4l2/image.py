@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum, auto
-from mmap import mmap
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
-
+from altd.devices.pixels import PixelFormat
 from altd.devices.v4l2 import abi
 from altd.devices.v4l2.node import VideoNode
 from altd.records import PixelArray
@@ -34,19 +31,19 @@ class Size:
 
 def fourccs(node: VideoNode) -> list[str]:
     """Pixel formats of the camera by their four characters; raises OSError."""
-    asked = abi.v4l2_fmtdesc(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
+    asked = abi.v4l2_fmtdesc(type=node.buffer_type)
     return [_characters(entry.pixelformat) for entry in node.entries(abi.VIDIOC_ENUM_FMT, asked)]
 
 
-def sizes(node: VideoNode, fourcc: str) -> list[Size]:
+def sizes(node: VideoNode, pixel_format: str) -> list[Size]:
     """Frame sizes in a format; raises OSError."""
-    asked = abi.v4l2_frmsizeenum(pixel_format=abi.v4l2_fourcc(fourcc))
+    asked = abi.v4l2_frmsizeenum(pixel_format=code(pixel_format))
     return [_size(entry) for entry in node.entries(abi.VIDIOC_ENUM_FRAMESIZES, asked)]
 
 
-def rates(node: VideoNode, fourcc: str, width: int, height: int) -> list[float]:
+def rates(node: VideoNode, pixel_format: str, width: int, height: int) -> list[float]:
     """Rates of such frames, frames/s, or the ends of their range; raises OSError."""
-    asked = abi.v4l2_frmivalenum(pixel_format=abi.v4l2_fourcc(fourcc), width=width, height=height)
+    asked = abi.v4l2_frmivalenum(pixel_format=code(pixel_format), width=width, height=height)
     found = [rate for entry in node.entries(abi.VIDIOC_ENUM_FRAMEINTERVALS, asked) for rate in _rates(entry)]
     return sorted(set(found))
 
@@ -76,31 +73,9 @@ def _characters(number: int) -> str:
 _MAX_CLOCK_DIFFERENCE_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class PixelFormat:
-    """A grey format: its four characters, its significant bits, and the number type in the buffer."""
-
-    name: str
-    fourcc: str
-    bits: int
-    dtype: npt.DTypeLike
-
-    @property
-    def bytes_per_pixel(self) -> int:
-        """Bytes per pixel: one, or two with the significant bits at the low end."""
-        return np.dtype(self.dtype).itemsize
-
-
-PIXEL_FORMATS = {
-    entry.name: entry
-    for entry in (
-        PixelFormat("GREY", "GREY", 8, np.uint8),
-        PixelFormat("Y10", "Y10 ", 10, "<u2"),
-        PixelFormat("Y12", "Y12 ", 12, "<u2"),
-        PixelFormat("Y16", "Y16 ", 16, "<u2"),
-    )
-}
-"""Pixel formats by their names in ``altd.toml``."""
+def code(pixel_format: str) -> int:
+    """Number of a pixel format from its name in ``altd.toml``: its characters, padded to four."""
+    return abi.v4l2_fourcc(f"{pixel_format:<4}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,24 +89,12 @@ class Layout:
 
     @property
     def frame_bytes(self) -> int:
-        """Size of a whole frame; the last line may lack its padding."""
-        return self.bytes_per_line * (self.height - 1) + self.width * self.pixel_format.bytes_per_pixel
+        """Least size of a whole frame."""
+        return self.pixel_format.frame_bytes(self.width, self.height, self.bytes_per_line)
 
-    def pixels(self, buffer: bytes | memoryview | mmap) -> PixelArray:
-        """Copy the frame's grey values, (rows, columns), read-only.
-
-        The copy is necessary: the driver gets the buffer back at once and fills it again, while a frame lives
-        as long as it is in use.
-        """
-        lines: npt.NDArray[np.uint8] = np.ndarray(
-            (self.height, self.width),
-            self.pixel_format.dtype,
-            buffer,
-            strides=(self.bytes_per_line, self.pixel_format.bytes_per_pixel),
-        )
-        pixels = lines.copy()
-        pixels.flags.writeable = False
-        return pixels
+    def pixels(self, data: memoryview) -> PixelArray:
+        """Copy the grey values (rows, columns) of a frame, read-only; raises ValueError: it is damaged."""
+        return self.pixel_format.pixels(data, self.width, self.height, self.bytes_per_line, is_lent=True)
 
 
 class Stamp(Enum):

@@ -34,8 +34,12 @@ class VideoNode:
         capabilities = about.capabilities
         if capabilities & abi.V4L2_CAP_DEVICE_CAPS:  # those of this node, not of all nodes of the camera
             capabilities = about.device_caps
-        needed = abi.V4L2_CAP_VIDEO_CAPTURE | abi.V4L2_CAP_STREAMING
-        self.streams = capabilities & needed == needed
+        captures = capabilities & (abi.V4L2_CAP_VIDEO_CAPTURE | abi.V4L2_CAP_VIDEO_CAPTURE_MPLANE)
+        self.streams = bool(captures and capabilities & abi.V4L2_CAP_STREAMING)
+        self.has_planes = captures == abi.V4L2_CAP_VIDEO_CAPTURE_MPLANE
+        self.buffer_type = abi.V4L2_BUF_TYPE_VIDEO_CAPTURE
+        if self.has_planes:
+            self.buffer_type = abi.V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE
 
     def call(self, request: int, argument: Argument) -> Argument:
         """Let the kernel read and fill a structure; return it."""

@@ -9,16 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.foreign import need, need_program
 
-from altd.devices.v4l2 import V4l2CameraSettings, abi
+from altd.devices.pixels import PIXEL_FORMATS
+from altd.devices.v4l2 import PIXEL_FORMAT_NAMES, V4l2CameraSettings, abi
 from altd.devices.v4l2.camera import ExposureTime, V4l2Camera
 from altd.devices.v4l2.controls import Control
-from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
+from altd.devices.v4l2.image import Layout, Stamp, code, middle_of_exposure_ns
 from altd.ports import CameraLostError, CameraNotFoundError, CameraRefusedError, ExposureRange
 
+NEWER_FORMATS = {"Y12P"}
+"""Not yet in the headers of Debian 12."""
 HEADER = Path("/usr/include/linux/videodev2.h")
 CONSTANTS = {name: value for name, value in vars(abi).items() if name.startswith(("V4L2_", "VIDIOC_"))}
 STRUCTURES = {
@@ -50,10 +52,11 @@ def ours() -> dict[str, int]:
             field = f"((struct {name} *)0)->{path}"
             facts[f"offsetof(struct {name}, {path})"] = offset
             facts[f"sizeof({field})"] = ctypes.sizeof(field_kind)
-            if not issubclass(field_kind, ctypes.Structure | ctypes.Union | ctypes.Array):
+            is_number = not issubclass(field_kind, ctypes.Structure | ctypes.Union | ctypes.Array)
+            if is_number and hasattr(field_kind, "value"):  # no pointer
                 facts[f"(__typeof__({field}))-1 < 0"] = int(field_kind(-1).value < 0)
-    for pixel_format in PIXEL_FORMATS.values():
-        facts[f"V4L2_PIX_FMT_{pixel_format.name}"] = abi.v4l2_fourcc(pixel_format.fourcc)
+    for name in sorted({*PIXEL_FORMAT_NAMES} - NEWER_FORMATS):
+        facts[f"V4L2_PIX_FMT_{'MJPEG' if name == 'MJPG' else name}"] = code(name)
     return facts
 
 
@@ -165,21 +168,6 @@ def test_an_exposure_is_the_nearest_that_steps_and_range_allow(exposure_ms: floa
 NOW_NS = 5_000_000_000_000
 
 
-def test_lines_are_read_without_their_padding() -> None:
-    layout = Layout(3, 2, 4, PIXEL_FORMATS["GREY"])
-    pixels = layout.pixels(bytes([1, 2, 3, 99, 4, 5, 6, 99]))
-    assert pixels.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert pixels.dtype == np.uint8
-
-
-@pytest.mark.parametrize("name", ["Y10", "Y12", "Y16"])
-def test_two_bytes_a_pixel_come_with_the_low_one_first(name: str) -> None:
-    layout = Layout(2, 1, 4, PIXEL_FORMATS[name])
-    pixels = layout.pixels(bytes([0x34, 0x02, 0xFF, 0x00]))
-    assert pixels.tolist() == [[0x234, 0xFF]]
-    assert pixels.dtype == np.uint16
-
-
 def test_a_frame_is_read_only_and_stays_when_its_buffer_is_filled_again() -> None:
     buffer = bytearray(range(6))
     pixels = Layout(3, 2, 3, PIXEL_FORMATS["GREY"]).pixels(memoryview(buffer))
@@ -191,9 +179,9 @@ def test_a_frame_is_read_only_and_stays_when_its_buffer_is_filled_again() -> Non
 def test_the_last_line_may_come_without_its_padding() -> None:
     layout = Layout(3, 2, 4, PIXEL_FORMATS["GREY"])
     assert layout.frame_bytes == 7
-    assert layout.pixels(bytes([1, 2, 3, 99, 4, 5, 6])).tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert layout.pixels(memoryview(bytes([1, 2, 3, 99, 4, 5, 6]))).tolist() == [[1, 2, 3], [4, 5, 6]]
     with pytest.raises((TypeError, ValueError)):
-        layout.pixels(bytes(6))
+        layout.pixels(memoryview(bytes(6)))
 
 
 @pytest.mark.parametrize(

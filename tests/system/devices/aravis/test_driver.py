@@ -18,6 +18,9 @@ from altd.ports import (
 )
 from altd.records import CameraIdentity, Origin
 
+PFNC = {"Mono10": 0x01100003, "Mono12": 0x01100005, "Mono12Packed": 0x010C0006}
+"""Numbers of the pixel formats (GigE Vision 2.0, 26.1)."""
+
 pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 
 PRIVILEGE = 0xA00
@@ -74,7 +77,7 @@ class TestFrames:
         assert (frame.bits, frame.full_scale) == (16, 65535)
         assert any(np.array_equal(frame.pixels, ramp) for ramp in ramps)
 
-    @pytest.mark.parametrize(("pixel_format", "bits"), [("Mono10", 10), ("Mono12", 12)])
+    @pytest.mark.parametrize(("pixel_format", "bits"), [("Mono10", 10), ("Mono12", 12), ("Mono12Packed", 12)])
     def test_of_10_and_12_bits_come_in_words(
         self, cameras: Cameras, tmp_path: Path, pixel_format: str, bits: int
     ) -> None:
@@ -83,7 +86,7 @@ class TestFrames:
         camera.open()
         try:
             frame = camera.next_frame(2)
-            assert register(HOME, PIXEL_FORMAT) == {"Mono10": 0x01100003, "Mono12": 0x01100005}[pixel_format]
+            assert register(HOME, PIXEL_FORMAT) == PFNC[pixel_format]
             assert (frame.bits, frame.pixels.dtype, frame.pixels.shape) == (bits, np.uint16, (480, 752))
         finally:
             camera.close()

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import jpegs
 from support.foreign import need_program
 from support.guest import GuestRun, run_in_guest
 
@@ -14,7 +15,9 @@ pytestmark = pytest.mark.real_time
 def frames(tmp_path_factory: pytest.TempPathFactory) -> GuestRun:
     need_program("v4l2-ctl", "v4l-utils")
     return run_in_guest(
-        tmp_path_factory.mktemp("frames"), "vivid_frames.py", kernel_arguments=("vivid.n_devs=1",)
+        tmp_path_factory.mktemp("frames"),
+        "vivid_frames.py",
+        kernel_arguments=("vivid.n_devs=2", "vivid.multiplanar=1,2", "v4l2loopback.devices=1"),
     )
 
 
@@ -35,7 +38,34 @@ def test_formats_of_more_bits_show_the_same_ramp(frames: GuestRun, name: str, mo
     np.testing.assert_array_equal(more >> more_bits, eight)
 
 
-@pytest.mark.parametrize(("name", "bits"), [("GREY", 8), ("Y10", 10), ("Y12", 12), ("Y16", 16)])
+@pytest.mark.parametrize("name", ["YUYV", "UYVY", "NV12"])
+def test_a_luminance_is_the_same_ramp_from_black_16_to_white_235(frames: GuestRun, name: str) -> None:
+    assert frames.results
+    grey, luminance = np.load(frames.folder / "GREY.npy"), np.load(frames.folder / f"{name}.npy")
+    below = luminance < 235
+    assert below.mean() > 0.99
+    assert (luminance[~below] == 255).all()
+    np.testing.assert_allclose(luminance[below], 16 + grey[below] * (219 / 255), atol=1.5)
+
+
+@pytest.mark.parametrize("name", ["GREY", "Y16", "YUYV", "NV12"])
+def test_a_camera_with_the_multi_planar_interface_gives_the_same_pixels(frames: GuestRun, name: str) -> None:
+    assert frames.results["planes"][name] == frames.results["formats"][name]
+    one, other = (np.load(frames.folder / f"{kind}{name}.npy") for kind in ("", "planes-"))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_jpegs_are_those_that_were_sent_and_damaged_ones_are_gaps(frames: GuestRun) -> None:
+    assert np.diff(frames.results["jpegs"])[-2:].tolist() == [2, 2]
+    taken = np.load(frames.folder / "MJPG.npy")
+    expected = [jpegs.SMOOTH, jpegs.SMOOTH[:, ::-1], jpegs.SMOOTH[::-1]]
+    np.testing.assert_allclose(taken[-3:], expected, atol=4)
+    np.testing.assert_array_equal(taken[:-3], [taken[-3]] * (len(taken) - 3), "shown since the feed began")
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"), [("GREY", 8), ("Y10", 10), ("Y12", 12), ("Y16", 16), ("YUYV", 8), ("NV12", 8)]
+)
 def test_a_frame_is_a_read_only_copy_marked_as_simulated(frames: GuestRun, name: str, bits: int) -> None:
     said = frames.results["formats"][name]
     assert said == {

@@ -20,7 +20,7 @@ def test_a_camera_is_found_by_its_stable_path_with_the_formats_that_altd_reads(r
     camera = next(camera for camera in results["found"] if camera["driver"] == "vivid")
     assert camera["path"] == BY_PATH
     assert camera["card"] == "vivid"
-    assert list(camera["formats"]) == ["GREY", "Y10", "Y12", "Y16"]
+    assert list(camera["formats"]) == ["GREY", "Y10", "Y12", "Y16", "YUYV", "UYVY", "NV12"]
     assert camera["formats"]["GREY"][:2] == ["320 × 180", "640 × 360"]
 
 
