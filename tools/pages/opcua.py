@@ -26,17 +26,16 @@ def page() -> str:
 
 This page describes the OPC UA server of the unit, `opc.tcp://UNIT:4840/altd`.
 
-It needs a table [`[opcua]`](config.md#opcua) and the extra `altd[opcua]`, which a package has that is made by
-`make deb EXTRAS=opcua` ([installation](install.md#make-a-release)).
+It needs a table [`[opcua]`](config.md#opcua) and the extra `altd[opcua]`, part of a package made by
+[`make deb EXTRAS=opcua`](install.md#make-a-release).
 
 ## Nodes
 
 Namespace 1 is the server (`urn:altd:{SERIAL}`, its application URI), 2 the unit (`{UNIT_NAMESPACE}`, the
-same for all units), 3 the parts of OPC 10000-100 that the unit refers to (`{DI_NAMESPACE}`).
+same for all units), 3 parts of OPC 10000-100 (`{DI_NAMESPACE}`).
 
 The unit is the object `ns=2;s=unit` below `Objects` and `DeviceSet`, its type `ActiveLaserTargetType`, a
-subtype of `DeviceType`. The type is the same on all units: what all units have is mandatory in it, the
-quantities of beams and plates are optional.
+subtype of `DeviceType`, with the quantities of beams and plates as options.
 
 AnalogItems of Double of a beam:
 
@@ -46,9 +45,8 @@ AnalogItems of Double of a beam:
 | `targets.TARGET.x_mm`, `.y_mm` | calibrated area, mm | where the beam meets a target |
 
 All identifiers begin with `ns=2;s=`. `KEY.sigma` is the combined standard uncertainty (1 sigma),
-`KEY.sigma_now` that of the value as a statement about the beam when it was written. `EURange` and
-`Definition` include plane, signs and offsets of `[installation]`.
-[Rows and plates](#rows-and-plates) have other quantities. All units have:
+`KEY.sigma_now` that of the beam's place when it was written. `EURange` and `Definition` include plane, signs
+and offsets of `[installation]`. [Rows and plates](#rows-and-plates) have other quantities. All units have:
 
 | node | BrowseName | meaning |
 |---|---|---|
@@ -56,9 +54,8 @@ All identifiers begin with `ns=2;s=`. `KEY.sigma` is the combined standard uncer
 | `health` | DeviceHealth | the unit's [state](reasons.md#states): {_health()} |
 
 `SerialNumber`, `Model`, `SoftwareRevision`, `CalibrationCreated`, `CalibrationChecksum` and
-`CalibrationSimulated` identify unit and calibration. `Session` changes with each start of the daemon. Other
-members of `DeviceType` are empty, `RevisionCounter` is -1. Engineering units are those of UNECE
-({_units()}); mm/m and mm/d have `unitId` -1.
+`CalibrationSimulated` identify unit and calibration. Other members of `DeviceType` are empty,
+`RevisionCounter` is -1. Engineering units are those of UNECE ({_units()}); mm/m and mm/d have `unitId` -1.
 
 ### Rows and plates
 
@@ -84,8 +81,7 @@ Numbers with an uncertainty have `KEY.sigma`. None has `KEY.sigma_now`.
    when no answer comes; without NTP when `sequence` has not changed for 0.5 s. A row measures once a round:
    its values are stale 2.5 rounds after the last exposure.
 5. Monitor `sequence`, too, or use the trigger `StatusValueTimestamp`: `x_mm` alone sends nothing while it
-   stays the same. Values change 20 times a second; the shortest publishing interval is
-   {sessions.MIN_PUBLISHING_INTERVAL_MS:g} ms.
+   stays the same. The shortest publishing interval is {sessions.MIN_PUBLISHING_INTERVAL_MS:g} ms.
 6. Compare `SerialNumber` with the unit's label, and monitor `Session`: a change is a restart.
 7. Do not steer by OPC UA ([why](integrate.md#choose-an-interface)).
 
@@ -97,15 +93,14 @@ A measurement has the first code of this table that fits its [reasons](reasons.m
 |---|---|---|
 {_statuses()}
 
-- Each target of a row has the code of its own reasons and of those of the row. If it was not measured, its
-  numbers are Bad and null while those of others are Good. `targets.TARGET.status` says why.
+- Each target of a row has the code of its own reasons, given in `targets.TARGET.status`, and of the row's.
 - A displacement that is not known is `Bad` although the target was measured: `baseline_incomplete`,
   `no_baseline`, `stable_targets_disagree`.
-- No capture time is known: a valid number is `Uncertain` and has no SourceTimestamp.
+- A valid number without a known capture time is `Uncertain` and has no SourceTimestamp.
 - A sigma that is not known is `Bad`.
 - After `stale_after_s` without a new measurement (of a row 2.5 rounds, where that is longer), or
   {LINK_TIMEOUT_S:g} s without data of the daemon, values are `BadNoCommunication`.
-- A quantity of a sensor that is not fitted is `BadNotConnected`. Of a fitted one it has its own time, and by
+- A quantity of a sensor that is not fitted is `BadNotConnected`. A fitted one has its own time, and by
   quality:
 
 | status code | quality of the sensor |
@@ -115,10 +110,9 @@ A measurement has the first code of this table that fits its [reasons](reasons.m
 ## History
 
 HistoryRead of raw values gives the numbers of each quantity from the unit's [history](history.md), up to
-{MAX_VALUES} for each node in an answer. It needs two of start time, end time and number. The newest come
-first if the end is before the start, or without a start time: an end time and a number give the last values
-before that time. After the clock was set back, times come twice; all values are given, in the order of time.
-Sigmas have no history.
+{MAX_VALUES} for each node in an answer. It needs two of start time, end time and number: an end time and a
+number give the last values before that time, the newest first. After the clock was set back, times come
+twice, in the order of time. Sigmas have no history.
 
 ## Security and login
 
@@ -138,8 +132,8 @@ A self-signed certificate for the unit:
       -addext keyUsage=digitalSignature,nonRepudiation,keyEncipherment,dataEncipherment \\
       -addext extendedKeyUsage=serverAuth,clientAuth
 
-Clients must trust exactly this certificate. The unit accepts any certificate of a client; the password
-identifies the client. Certificates are read at the start, changes of `credentials` count at once.
+Clients must trust exactly this certificate. The unit accepts any client certificate; the password identifies
+the client. Certificates are read at the start, changes of `credentials` count at once.
 
 Nothing can be written. With `allow_self_check = true` the method `SelfCheck` requests a
 [self-check](selfcheck.md).
@@ -157,11 +151,9 @@ Nothing can be written. With `allow_self_check = true` the method `SelfCheck` re
 | after a wrong password | {sessions.LOGIN_INTERVAL_S:g} s |
 | memory of the process | {MAX_MEMORY_BYTES >> 20} MB of data |
 
-`ServerCapabilities` states these limits. Nodes of the standard that the server does not support are
-`BadNotSupported`. Deadbands are refused (`BadMonitoredItemFilterUnsupported`), and parts of arrays
-(`BadIndexRangeNoData`). The server is a process of low
-priority (nice {NICE}). It is restarted when it ends or hangs, and skips measurements when it is slow
-(`measurements_skipped`).
+`ServerCapabilities` states these limits. Deadbands are refused (`BadMonitoredItemFilterUnsupported`), and
+parts of arrays (`BadIndexRangeNoData`). The server is a process of low priority (nice {NICE}). It is
+restarted when it ends or hangs, and skips measurements when it is slow (`measurements_skipped`).
 """)
 
 
