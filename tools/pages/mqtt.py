@@ -51,9 +51,8 @@ All keys: [Settings](config.md#mqtt). Show everything that a unit publishes:
 
     mosquitto_sub -V 5 -h broker.plant.example -t 'altd/{SERIAL}/#' -v
 
-The unit takes no command. It subscribes to `{_TOPICS.ack}` with `store_and_forward = true`, else to nothing
-([fleet](fleet.md)). With `[mqtt.sparkplug]` it is an edge node of
-[Sparkplug B](sparkplug.md) instead.
+The unit takes no command, and subscribes to nothing but `{_TOPICS.ack}` for a [fleet](fleet.md). With
+`[mqtt.sparkplug]` it is an edge node of [Sparkplug B](sparkplug.md) instead.
 
 ## Topics
 
@@ -64,9 +63,9 @@ The QoS is 1.
 |---|---|---|---|---|
 {_topics()}
 
-Except for availability and outbox, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json).
-`topics` in it has the schema of each topic, by its last level. Keys may be added.
-[mqtt.asyncapi.json](mqtt.asyncapi.json) has topics and payloads for tools, as an AsyncAPI 3.0 document.
+Except for availability and outbox, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json):
+`topics` in it has that of each topic, by its last level. Keys may be added.
+[mqtt.asyncapi.json](mqtt.asyncapi.json) is an AsyncAPI 3.0 document.
 
 ## Use a number
 
@@ -79,16 +78,15 @@ Except for availability and outbox, payloads are JSON with the schema [mqtt.sche
    proves nothing.
 5. Check `crc32`, `unit`, `session`, `message` and `clock_ms` as in [Check messages](proof.md). `message`
    counts all JSON messages of a unit: on one topic it has gaps.
-6. Limit the age: `age_s` of 0.5 to 0.6 is normal, because a value is the mean of one second; the means of a
-   summary are about 1 s old. Recommended limit for `age_s` and the delay together: 1 s for a measurement.
+6. Limit the age: `age_s` of 0.5 to 0.6 is normal, the means of a summary are about 1 s old. Recommended limit
+   for `age_s` and the delay together: 1 s for a measurement.
 
 ## Summary
 
 {_keys(summary_model(QUANTITIES))}
 
 Then for each quantity an object: `mean`, `min` and `max` of the valid measurements since the last summary,
-and `sigma`, the combined standard uncertainty (1 sigma) of one of them. As the measurements overlap, the mean
-is hardly less uncertain:
+and `sigma`, the combined standard uncertainty (1 sigma) of one of them; the mean is hardly less uncertain:
 
 ```json
 {json.dumps({key: summary[key] for key in ("time", "count", "valid_share", "x_mm")})}
@@ -115,25 +113,23 @@ the worst first ([states](reasons.md#states)).
 | event | what a client sees |
 |---|---|
 | the unit starts or restarts | `birth` with a new `session`, `state`, `online`, then summaries |
-| the unit is stopped | `offline`, at once |
+| the unit is stopped, or the daemon killed | `offline`, at once |
 | the unit loses power or its network | `offline` after {silent} at most, by its last will |
-| the daemon is killed | `offline`, at once, by its last will |
 | the beam is lost | `null` for every mean, `valid_share` 0, reasons in `status`; `state` changes |
 | nothing is measured | a summary with `count` 0 and `null` in place of every number |
 | the broker restarts | `birth`, `state` and `online` again, with the same `session` |
 | unit and broker lose power | `online` until it has expired, if the broker has kept it; no numbers |
 
 Without a broker the unit queues nothing but the outbox. It retries after {MIN_BACKOFF_S:g} s, then up to
-{MAX_BACKOFF_S:g} s, with up to {MAX_JITTER_S:g} s at random. `altd status` gives the cause, and the unit
-requires maintenance (`face_failed`). A message that is not acknowledged for {ACK_TIMEOUT_S:g} s ends the
-connection.
+{MAX_BACKOFF_S:g} s, with up to {MAX_JITTER_S:g} s at random, and requires maintenance (`face_failed`). A
+message that is not acknowledged for {ACK_TIMEOUT_S:g} s ends the connection.
 
 | the unit says | cause, and what the unit does |
 |---|---|
-| {NO_RETAIN} | it publishes all messages unretained: a late client waits up to {refresh} for the state |
-| {ONLY_QOS_0} | it publishes with QoS 0, and waits for the answer to a ping instead |
-| only 1000 bytes in a message; not sent: … | they are too long; the others are sent. Allow 64 kB |
-| another client uses this identifier | each throws the other off the broker: their serial numbers are equal |
+| {NO_RETAIN} | a late client waits up to {refresh} for the state |
+| {ONLY_QOS_0} | it waits for the answer to a ping instead |
+| only 1000 bytes in a message; not sent: … | they are too long. Allow 64 kB |
+| another client uses this identifier | two serial numbers are equal |
 | the broker closed the connection before it answered | it wants TLS, or has [no file left](fleet.md#set-up) |
 
 ## TLS and login
@@ -146,15 +142,15 @@ connection.
     credentials = "mqtt-login"
 
 With `ca` the unit uses only TLS, 1.2 or later, on port 8883, and compares the broker's certificate with
-`host`. The computer's own authorities are in `/etc/ssl/certs/ca-certificates.crt`. `certificate` and `key`
-are needed where the broker asks for them. `credentials` is a file of two lines that other users cannot read:
+`host`. The computer's own authorities are in `/etc/ssl/certs/ca-certificates.crt`. Give `certificate` and
+`key` where the broker asks for them. `credentials` is a file of two lines that other users cannot read:
 
     sudo install -m 640 -o root -g altd /dev/null /etc/altd/mqtt-login
     printf 'alt-0007\\nPASSWORD\\n' | sudo tee /etc/altd/mqtt-login >/dev/null
 
-Without `ca` the password is sent unencrypted. The client identifier is `{identifier}`. Allow only this
-client to write `altd/{SERIAL}/#` and, with `home_assistant`, its discovery topic. The service may only reach
-private networks: see [Install](install.md).
+Without `ca` the password is sent unencrypted. Allow only this client, `{identifier}`, to write
+`altd/{SERIAL}/#` and, with `home_assistant`, its discovery topic. The service may only reach
+[private networks](install.md#10-restrict-the-network).
 
 ## Home Assistant
 
@@ -167,19 +163,16 @@ in `[mqtt]` announces the unit as a device of Home Assistant 2024.11 or later:
 | one for each quantity | mean of the summary |
 | the same with `sigma` | uncertainty (1 sigma) of one measurement |
 | `valid` | on: every measurement of the last second was valid |
-| `live` | on: the numbers come from the unit's own cameras, measured now |
+| `live` | on: the numbers are measured now by the unit's cameras |
 | `share of valid measurements`, `age`, `reasons` | `valid_share`, `age_s` and `status` of the summary |
 | `state` | NE 107 signal |
 
 An entity is unavailable {EXPIRE_AFTER_S} s after the last summary, the state {STATE_EXPIRE_AFTER_S} s after
-the last state. In automations use a number only while `valid` and `live` are on. In rehearsal Home Assistant
-shows the numbers but keeps no statistics of them. "Visit device" opens the unit's page, if `[http]` serves
-other computers. Entities of another kind of unit with the same serial number are removed, except those of the
-places of a row.
+the last state. In automations use a number only while `valid` and `live` are on. Home Assistant keeps no
+statistics of a rehearsal. "Visit device" opens the unit's page, if `[http]` serves other computers.
 
-The announcement expires in the broker {DISCOVERY_EXPIRY_S // 3600} h after the unit has sent it last, also
-when the unit changes to `[mqtt.sparkplug]`. To remove the device at once, remove the key and send an empty
-retained message:
+The announcement expires in the broker {DISCOVERY_EXPIRY_S // 3600} h after the unit has sent it last. To
+remove the device at once, remove the key and send an empty retained message:
 
     mosquitto_pub -h broker.plant.example -r -n -t {discovery_topic("homeassistant", identifier)}
 """)

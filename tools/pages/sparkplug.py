@@ -108,8 +108,7 @@ This page describes the unit as an edge node of Sparkplug B 3.0, which replaces 
     [mqtt.sparkplug]
     group = "line-4"
 
-TLS, login and the behaviour without a broker are those of [MQTT](mqtt.md#tls-and-login). Show the messages
-of a unit:
+TLS, login and retries are those of [MQTT](mqtt.md#tls-and-login). Show the messages of a unit:
 
     mosquitto_sub -V 5 -h broker.plant.example -t '{NAMESPACE}/line-4/+/{SERIAL}' -F '%t %l bytes'
 
@@ -124,13 +123,12 @@ Its data has no checksum and no acknowledgement: do not steer by it.
 | `{topic("NDEATH")}` | at the end, and as the last will | 1 |
 | `{topic("NCMD")}` | the unit subscribes to it | 1 |
 
-The node is `node` or the serial number, percent-encoded where needed. Nothing is retained, and there are no
-devices. With a login, let the client identifier write the first three topics and read the fourth.
+The node is `node` or the serial number, percent-encoded where needed. Nothing is retained. With a login, let
+the client identifier write the first three topics and read the fourth.
 
 ## Metrics
 
-NBIRTH has all metrics, NDATA those of the state, if one has changed, and of a new measurement. There are no
-aliases.
+NBIRTH has all metrics, NDATA those of a changed state and of a new measurement.
 
 {_metrics()}
 
@@ -148,11 +146,10 @@ the time of sending. Properties are `Quality` and, in NBIRTH, `engUnit` and `doc
 
 1. Use it only with the quality 192 and `valid` true. An unknown value is null.
 2. Drop all numbers on an NDEATH with the `bdSeq` of the last NBIRTH, and after 3 s without NDATA.
-3. Compare the timestamp of the metric with your own clock; both clocks need NTP. A new value is the mean of
-   one second and about 0.5 s old; without `every_measurement` it is shown for up to 1 s longer. Recommended
-   limit: 2 s, and 1 s with `every_measurement`.
+3. Compare the timestamp of the metric with your own clock; both clocks need NTP. A new value is about 0.5 s
+   old. Recommended limit: 2 s, and 1 s with `every_measurement`.
 4. `seq` counts from 0 to 255 and begins again. With a gap, drop the numbers and ask for a rebirth.
-5. Ignore retained messages: the unit sends none.
+5. Ignore retained messages.
 
 ## Commands
 
@@ -166,8 +163,7 @@ faster than {MAX_RECEIVED_BYTES_PER_MESSAGE} bytes for each message that it send
 | event | what a host sees |
 |---|---|
 | the unit starts or restarts | NBIRTH with `bdSeq` 0 |
-| the unit is stopped | NDEATH, twice: by the unit and as its will |
-| the daemon is killed | NDEATH, at once, by its will |
+| the unit is stopped, or the daemon killed | NDEATH, at once; twice if it is stopped |
 | the unit loses power or its network | NDEATH after {silent} at most, by its will |
 | the beam is lost | null, quality 0, `valid` false, the reason in `status`; `State/signal` changes |
 | nothing is measured | null, quality 500, `status` with `stale` |
@@ -176,8 +172,7 @@ faster than {MAX_RECEIVED_BYTES_PER_MESSAGE} bytes for each message that it send
 
 ## Requirements of the specification
 
-One recommendation is not followed: data has datatypes (`payloads-metric-datatype-not-req`). These do not
-apply:
+One recommendation is not followed: data has datatypes (`payloads-metric-datatype-not-req`). Not applicable:
 
 | requirements `tck-id-…` | why |
 |---|---|
