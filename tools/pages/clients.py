@@ -17,8 +17,8 @@ def page() -> str:
 
 This page describes complete programs that read x, y, yaw and pitch and decide whether the values may be used.
 
-Each is one file of less than 80 lines. The tests run them against the daemon and against answers that
-are late, repeated, torn, forged or from another unit.
+The tests run them against the daemon and against answers that are late, repeated, torn, forged or from
+another unit.
 
 | program | interface | needs |
 |---|---|---|
@@ -35,11 +35,9 @@ master |
 | setting | value |
 |---|---|
 | address, port | of the unit, or of the broker |
-| serial number | from the unit's label; in Structured Text its CRC-32, `unit`. Without it every answer is \
-*foreign* |
-| limit of age | 1000 ms in use; 750 where the program asks for the limit of the rules (below) |
-| limit of sigma | the programs do not check `sigma_now`: compare it yourself \
-([uncertainty](integrate.md#uncertainty)) |
+| serial number | from the unit's label; in Structured Text its CRC-32, `unit` |
+| limit of age | 1000 ms in Python and C; 750, the limit of the rules, is set in the others |
+| limit of sigma | compare `sigma_now` yourself ([uncertainty](integrate.md#uncertainty)) |
 | acknowledgement | connect it to a button or to the machine's start procedure |
 | `word_order` of the unit | `ABCD`, the default; in another order every answer is *corrupt* |
 | time-out | 50 ms for TCP; longer for a serial line or a gateway ([Modbus](modbus.md#age-and-limits)) |
@@ -47,12 +45,11 @@ master |
 ## Rules
 
 All programs follow the [rules](integrate.md#rules), [limits](integrate.md#limits) and
-[resumption](integrate.md#resumption) of *Integrate a controller*, and report its fault names, *not valid*
-with the first [reason](reasons.md). For Modbus:
+[resumption](integrate.md#resumption) of *Integrate a controller*, and report its fault names. For Modbus:
 
 - They read the checked block, 80 registers from address 200, in one request.
 - They accept and use values up to an age of 750 ms. With the time to the next result no value in use is
-  older than 1000 ms. The programs in Python and C get 1000 as an argument, the other two have 750 set.
+  older than 1000 ms.
 - `--rehearsal`, or the input `rehearsal`, turns rule 8 (*not live*) off.
 - The signal SIGUSR1 (`kill -USR1 PID`), or the input `acknowledge`, acknowledges a unit that was *restarted*
   or *silent*. It counts for the next answer alone, if that passes rules 1 to 5.
@@ -63,7 +60,6 @@ with the first [reason](reasons.md). For Modbus:
 | the unit answers again after the limit | *silent*; no values until the acknowledgement |
 | the daemon starts again | *restarted*; no values until the acknowledgement |
 | the beam is blocked | *not valid: front_spot_missing*, for example; dropped at once |
-| a camera fails | *not valid: front_camera_silent*; dropped at once |
 | a recording is played | *not live*; dropped at once |
 | the daemon answers but measures nothing | *late* or *stopped*; no values |
 | another unit has the address, or no unit number is set | *foreign*; dropped at the limit |
@@ -76,8 +72,8 @@ with the first [reason](reasons.md). For Modbus:
     $ python3 read_modbus.py ADDRESS PORT SERIAL 1000
     x 10.0120 mm, y 4.9870 mm, yaw 1.1459 deg, pitch -1.7184 deg (good)
 
-1000 is the limit in ms. Each request gives a line. Replace the last two lines of the loop by your use of
-`target.values`, which is None while there are no usable values:
+Replace the last two lines of the loop by your use of `target.values`, which is None while there are no usable
+values:
 
 ```python
 {python}```
@@ -94,20 +90,19 @@ The Debian package is `libmodbus-dev`. Arguments and output are those of the Pyt
 The function block `ALTD_TARGET` takes the registers that the PLC's Modbus master reads. It needs no bit cast.
 
 - Call it in every cycle: without an answer it only watches the time.
-- Set `answered` in the cycle in which the master has an answer, `failed` in that in which it reports an
-  error or a time-out. With a master without such flags leave `answered` TRUE; the fault between two answers
-  is then *not newer*, so show the operator `drive` and not the fault.
+- Set `answered` in the cycle in which the master has an answer, `failed` in that of an error or a time-out.
+  With a master without such flags leave `answered` TRUE; the fault between two answers is then *not newer*,
+  so show the operator `drive` and not the fault.
 - `now_ms` is the PLC's millisecond counter, such as `TIME_TO_UDINT(TIME())` in CODESYS.
-- `unit` is the unit number: `python3 -c "import zlib; print(hex(zlib.crc32(b'SERIAL')))"`.
+- `unit` is the [unit number](integrate.md#set-up-the-controller).
 - Only the rising edge of `acknowledge` counts.
 
 ```
 {block}```
 
 Without a PLC, [matiec](https://github.com/beremiz/matiec) makes C99 of the file
-(`iec2c -I matiec/lib -T plc altd_target.st`). The program that you compile it with calls `GUIDANCE_init__`
-once, `GUIDANCE_body__` in each cycle, and defines the clock `TIME __CURRENT_TIME`.
-The tests run the file with an interpreter of their own, not with matiec.
+(`iec2c -I matiec/lib -T plc altd_target.st`). Your program calls `GUIDANCE_init__` once, `GUIDANCE_body__` in
+each cycle, and defines the clock `TIME __CURRENT_TIME`. The tests use an interpreter of their own instead.
 
 ## Node-RED
 
@@ -118,18 +113,16 @@ Import [flow.json](../examples/node_red/flow.json), and set the address, port, s
 
 ## Python, MQTT
 
-The unit needs `every_measurement = true` in `[mqtt]` ([MQTT](mqtt.md)). A broker delays and stores messages,
-and can fail: do not steer by MQTT.
+The unit needs `every_measurement = true` in [`[mqtt]`](mqtt.md). Do not steer by MQTT.
 
     $ pip install paho-mqtt
     $ python3 read_mqtt.py BROKER PORT SERIAL 1000
 
-It follows the same rules, with these differences:
+Differences:
 
 - *no answer*: no message has come since the line before.
-- *retained*: the broker had stored the message. The unit retains no numbers.
+- *retained*: the broker had stored the message.
 - *offline*: the unit has ended, or the broker has lost it. The values are dropped at once.
-- *silent*: no message came for longer than the limit.
 - *late*: the program also compares the unit's UTC with its own. Both computers need NTP.
 - *not live* includes a rehearsal.
 """)  # noqa: S608  Markdown, not SQL
