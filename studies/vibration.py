@@ -31,6 +31,8 @@ FREQUENCIES_HZ = (
     *(1, 2, 3, 5, 7, 10, 13, 16, 18, 19, 19.5, 20, 20.5, 21, 22, 25, 28, 30, 33, 36, 39, 40, 41, 45, 50, 55),
     *(59, 59.9, 60, 60.1, 61, 65, 70, 79, 80, 81, 90, 99, 100, 101, 115, 119, 120, 121, 130),
 )
+SHOWN_HZ = (1, 3, 10, 16, 19, 19.5, 20, 20.5, 21, 28, 40, 50, 59.9, 60, 60.1, 70, 80, 100, 120, 130)
+"""Rows of the table; the plot shows all frequencies."""
 FAST_HZ = 16
 FAST = [number for number, hertz in enumerate(FREQUENCIES_HZ) if hertz >= FAST_HZ]
 EXPOSURE_MS = 2.0
@@ -124,6 +126,7 @@ def run(progress: Progress) -> Result:
     rows = tuple(
         Row(f"{hz:g} Hz", tuple(of[number][0] or None for of in found.values()))
         for number, hz in enumerate(FREQUENCIES_HZ)
+        if hz in SHOWN_HZ
     )
     of_even, of_uneven = (
         [each for (is_even, _), of in found.items() if is_even is wanted for each in of]
@@ -151,11 +154,11 @@ def run(progress: Progress) -> Result:
             f"x of the mean of {WINDOW} frames, 20 a second, of a machine that vibrates at one frequency in "
             f"x. The spots' positions, with a noise of {NOISE_PX * MM_PER_PX:g} mm, pass the unit's own "
             "window and memory of scatter; the uneven instants are those of the unit's software triggers. "
-            f"Exposures are {EXPOSURE_MS:g} ms. Each cell is the rms of error/sigma over {RUNS * JUDGED} "
+            f"Exposures are {EXPOSURE_MS:g} ms. Each figure is the rms of error/sigma over {RUNS * JUDGED} "
             "windows with other phases and other triggers, so it scatters by a ninth. Sigma here is the "
             "scatter of single exposures alone, without print and map, which a unit adds.\n\n"
-            f"Uneven: {inside} of {len(of_uneven)} cells lie within {WITHIN[0]:g} to {WITHIN[1]:g}, {above} "
-            f"above, up to {max(z for z, _, _ in of_uneven):.2f}. Below "
+            f"Uneven: {inside} of {len(of_uneven)} figures in the plot lie within {WITHIN[0]:g} to "
+            f"{WITHIN[1]:g}, {above} above, up to {max(z for z, _, _ in of_uneven):.2f}. Below "
             "the frame rate a mean is better than its sigma, because the exposures follow the vibration. "
             f"Even: the largest single error is {max(worst for _, worst, _ in of_even):.0f} sigma. Windows "
             f"without a mean (`unsteady`): {max(share for _, _, share in of_even):.0%} even, "
