@@ -32,7 +32,8 @@ _TYPES = {
 def page() -> str:
     """Page as Markdown."""
     shown = board()
-    shared = set(summary_model(QUANTITIES).model_fields) & set(Birth.model_fields)
+    shared = [key for key in summary_model(QUANTITIES).model_fields if key in Birth.model_fields]
+    checked = ", ".join(f"`{key}`" for key in shared if key != "time")
     summary = json.loads(with_proof(summary_of([MEASURED], view_of()), shown, STAMP))
     identifier = f"altd_{STAMP.identity.unit:08x}"
     refresh = f"{REFRESH_INTERVAL_S:g} s"
@@ -83,7 +84,9 @@ Except for availability and outbox, payloads are JSON with the schema [mqtt.sche
 
 ## Summary
 
-{_keys(summary_model(QUANTITIES))}
+`time` is that of sending, UTC. For the [check of messages](proof.md#json-by-http): {checked}. Also:
+
+{_keys(summary_model(QUANTITIES), shared)}
 
 Then for each quantity an object: `mean`, `min` and `max` of the valid measurements since the last summary,
 and `sigma`, the combined standard uncertainty (1 sigma) of one of them; the mean is hardly less uncertain:
@@ -99,7 +102,7 @@ The object of [HTTP](http.md#the-measurement). A slow broker gets fewer measurem
 
 ## Birth
 
-The keys of the summary up to `crc32`, and:
+`time` and the keys for the check of messages, and:
 
 {_keys(Birth, shared)}
 
@@ -116,7 +119,7 @@ the worst first ([states](reasons.md#states)).
 | the unit is stopped, or the daemon killed | `offline`, at once |
 | the unit loses power or its network | `offline` after {silent} at most, by its last will |
 | the beam is lost | `null` for every mean, `valid_share` 0, reasons in `status`; `state` changes |
-| nothing is measured | a summary with `count` 0 and `null` in place of every number |
+| nothing is measured | `count` 0 and `null` in place of every number |
 | the broker restarts | `birth`, `state` and `online` again, with the same `session` |
 | unit and broker lose power | `online` until it has expired, if the broker has kept it; no numbers |
 
@@ -160,8 +163,7 @@ in `[mqtt]` announces the unit as a device of Home Assistant 2024.11 or later:
 
 | entity | value |
 |---|---|
-| one for each quantity | mean of the summary |
-| the same with `sigma` | uncertainty (1 sigma) of one measurement |
+| one for each quantity, and with `sigma` | mean of the summary, and uncertainty of one measurement |
 | `valid` | on: every measurement of the last second was valid |
 | `live` | on: the numbers are measured now by the unit's cameras |
 | `share of valid measurements`, `age`, `reasons` | `valid_share`, `age_s` and `status` of the summary |

@@ -59,11 +59,12 @@ and offsets of `[installation]`. [Rows and plates](#rows-and-plates) have other 
 
 ### Rows and plates
 
-| node of a [row](chain.md) | BrowseName | meaning |
-|---|---|---|
+| node of a [row](chain.md) | meaning |
+|---|---|
 {_of_row()}
 
-The nodes of a target are below its object, `targets.TARGET`. The spot has the calibrated area as `EURange`.
+The nodes of a target are below its object, `targets.TARGET`. BrowseNames are the last part of these
+identifiers, `Valid` and `Reasons` for the last two. The spot has the calibrated area as `EURange`.
 
 | node of a [plate](planar.md) | unit | meaning |
 |---|---|---|
@@ -77,9 +78,8 @@ Numbers with an uncertainty have `KEY.sigma`. None has `KEY.sigma_now`.
 2. Uncertain numbers have a warning and may be used, except those with `UncertainSimulatedValue`.
 3. Read all numbers in one request: they are then of one measurement.
 4. The SourceTimestamp is the middle of the exposures, or the time at which a value became Bad. Compare it
-   with your clock (NTP): 0.5 to 0.6 s are normal, because a value is the mean of one second. Stop at 1 s, or
-   when no answer comes; without NTP when `sequence` has not changed for 0.5 s. A row measures once a round:
-   its values are stale 2.5 rounds after the last exposure.
+   with your clock (NTP): 0.5 to 0.6 s are normal. Stop at 1 s, or when no answer comes; without NTP when
+   `sequence` has not changed for 0.5 s. Values of a row are stale 2.5 rounds after the last exposure.
 5. Monitor `sequence`, too, or use the trigger `StatusValueTimestamp`: `x_mm` alone sends nothing while it
    stays the same. The shortest publishing interval is {sessions.MIN_PUBLISHING_INTERVAL_MS:g} ms.
 6. Compare `SerialNumber` with the unit's label, and monitor `Session`: a change is a restart.
@@ -144,8 +144,7 @@ Nothing can be written. With `allow_self_check = true` the method `SelfCheck` re
 |---|---|
 | connections | {server.MAX_CONNECTIONS}, of one address {server.MAX_CONNECTIONS_OF_ONE_ADDRESS} |
 | a session without a request | {sessions.SESSION_TIMEOUT_S:g} s |
-| subscriptions of a session | {sessions.MAX_SUBSCRIPTIONS} |
-| monitored items of a session | {sessions.MAX_MONITORED_ITEMS} |
+| subscriptions, monitored items of a session | {sessions.MAX_SUBSCRIPTIONS}, {sessions.MAX_MONITORED_ITEMS} |
 | operations, bytes of a request | {sessions.MAX_OPERATIONS}, {server.MAX_REQUEST_BYTES} |
 | methods, nodes of HistoryRead of a request | {sessions.MAX_METHODS}, {sessions.MAX_HISTORY_NODES} |
 | after a wrong password | {sessions.LOGIN_INTERVAL_S:g} s |
@@ -172,13 +171,9 @@ def _variables() -> str:
 
 def _of_row() -> str:
     quantities = quantities_of(["TARGET"])
-    rows = [f"| `{each.key}` | {each.key} | {each.meaning} |" for each in quantities.of_unit]
-    rows += [
-        f"| `targets.TARGET.{each.key}` | {each.key} | {each.meaning} |" for each in quantities.of_target
-    ]
-    rows += [
-        f"| `targets.TARGET.{key}` | {name} | {meaning} |" for key, (name, _, meaning) in OF_PLACE.items()
-    ]
+    rows = [f"| `{each.key}` | {each.meaning} |" for each in quantities.of_unit]
+    rows += [f"| `targets.TARGET.{each.key}` | {each.meaning} |" for each in quantities.of_target]
+    rows += [f"| `targets.TARGET.{key}` | {meaning} |" for key, (_, _, meaning) in OF_PLACE.items()]
     return "\n".join(rows)
 
 

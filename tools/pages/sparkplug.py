@@ -23,11 +23,11 @@ from tools.pages.example import MEASURED, SERIAL, board, clock, view_of
 _MEANINGS = {
     "bdSeq": "number of the connection, the same in NBIRTH and NDEATH",
     REBIRTH: "write `true` to get NBIRTH again",
-    "Properties/serial": "serial number",
-    "Properties/version": "version of the program",
-    "Properties/instrument": "the kind of unit",
-    "Properties/calibration_created": "date of the calibration",
-    "Properties/calibration_checksum": "its checksum",
+    "Properties/serial": "serial number, version of the program, kind of unit",
+    "Properties/version": "serial number, version of the program, kind of unit",
+    "Properties/instrument": "serial number, version of the program, kind of unit",
+    "Properties/calibration_created": "date and checksum of the calibration",
+    "Properties/calibration_checksum": "date and checksum of the calibration",
     "Properties/calibration_simulated": "whether it is made from simulated frames",
     "State/signal": "signal of NAMUR NE 107 ([states](reasons.md#states))",
     "State/causes": "codes of its causes, the worst first",
@@ -35,38 +35,6 @@ _MEANINGS = {
     "status": "codes of its [reasons](reasons.md), with spaces between them",
     "sequence": "number of the newest exposure",
 }
-
-
-_NOT_APPLICABLE = {
-    "of host applications": (
-        "host-topic-*, components-ph-*, intro-sparkplug-host-state, message-flow-phid-*, message-flow-hid-*, "
-        "operational-behavior-host-*, operational-behavior-edge-node-termination-host-*, payloads-state-*, "
-        "conformance-primary-host"
-    ),
-    "of hosts that send commands": (
-        "topics-ncmd-*, payloads-ncmd-*, payloads-name-cmd-requirement, "
-        "operational-behavior-data-commands-ncmd-*"
-    ),
-    "no primary host, no stored data": (
-        "*-phid-wait*, *-phid-offline, operational-behavior-primary-application-*, "
-        "operational-behavior-edge-node-birth-sequence-wait"
-    ),
-    "there are no devices": "*-dbirth*, *-ddata-*, *-ddeath*, *-dcmd*, *-device-*",
-    "there are no templates and no data sets": (
-        "payloads-template-*, topics-nbirth-templates, payloads-dataset-*"
-    ),
-    "there are no aliases": "payloads-alias-*, *-rebirth-name-aliases",
-    "of brokers": "conformance-mqtt-*",
-    "the unit speaks MQTT 5": "*-clean-session-311, *-disconnect-mqtt311",
-    "of the plant": ("*-unique-*, *-uniqueness, *-edge-node-descriptor, case-sensitivity-sparkplug-ids"),
-}
-
-
-def _not_applicable() -> str:
-    return "\n".join(
-        f"| {', '.join(f'`{each}`' for each in requirements.split(', '))} | {why} |"
-        for why, requirements in _NOT_APPLICABLE.items()
-    )
 
 
 def _metrics() -> str:
@@ -84,7 +52,7 @@ def _metrics() -> str:
         if metric.name.startswith("sigma/"):
             meaning = "standard deviation (1 sigma)"
         if metric.name.startswith("sigma_now/"):
-            meaning = "the same as a statement about the truth at sending"
+            meaning = "that of the beam's place at sending"
         kind = ", ".join(filter(None, (metric.type.name.capitalize(), str(metric.about.get("engUnit", "")))))
         groups.setdefault((kind, meaning), []).append(f"`{metric.name}`")
     rows = [f"| {', '.join(names)} | {kind} | {meaning} |" for (kind, meaning), names in groups.items()]
@@ -172,9 +140,7 @@ faster than {MAX_RECEIVED_BYTES_PER_MESSAGE} bytes for each message that it send
 
 ## Requirements of the specification
 
-One recommendation is not followed: data has datatypes (`payloads-metric-datatype-not-req`). Not applicable:
-
-| requirements `tck-id-…` | why |
-|---|---|
-{_not_applicable()}
+One recommendation is not followed: data has datatypes (`payloads-metric-datatype-not-req`). The requirements
+of host applications and brokers, on a primary host, stored data, devices, templates, data sets, aliases and
+MQTT 3.1.1 do not apply; the plant makes identifiers unique.
 """)
