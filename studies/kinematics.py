@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from studies.planar_machine.geometry_fit import PARAMETERS, fit_geometry
-from studies.planar_machine.kinematics import Machine, double_triangle, joints_of, poses_of
-from studies.planar_machine.singularities import concurrent_line, parallel_orientations_deg
-from studies.planar_machine.workspace import area_mm2, contains, face_mm, slice_mm, volume_mm2_deg
+from altd.instruments.planar.machine.geometry_fit import PARAMETERS, fit_geometry
+from altd.instruments.planar.machine.kinematics import PlanarMachine, joints_of, poses_of
+from altd.instruments.planar.machine.singularities import concurrent_line, parallel_orientations_deg
+from altd.instruments.planar.machine.workspace import area_mm2, contains, slice_mm, type_2_range_mm
+from studies.planar_machine import double_triangle, face_mm, volume_mm2_deg
 from studies.plot import GREY, OURS, THESIS, THIRD
 from studies.result import Column, Progress, Result, Row
 
@@ -38,7 +39,7 @@ def run(progress: Progress) -> Result:
     machine = double_triangle(BASE_MM)
     progress("kinematics: slices")
     phi = np.arange(-57.5, 62.01, 0.25)
-    nearest, farthest = np.array([_type_2_range_mm(machine, float(angle)) for angle in phi]).T
+    nearest, farthest = np.array([type_2_range_mm(machine, float(angle)) for angle in phi]).T
     meets = (nearest < 0) & (farthest > 0)
     rows = tuple(
         Row(
@@ -151,7 +152,7 @@ reports which parameters are not determined.
     )
 
 
-def _draw_solid(figure: Figure, machine: Machine) -> None:
+def _draw_solid(figure: Figure, machine: PlanarMachine) -> None:
     """The solid from two sides, a colour a joint, dark at the start of its rail and light at its end."""
     pieces, shades, legend = [], [], []
     for leg, (colour, rail) in enumerate(
@@ -190,22 +191,13 @@ def _pieces(low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> list
     return [np.array([*lower[k : k + 2], *upper[k : k + 2][::-1]]) for k in range(PIECES)]
 
 
-def _turn_deg(machine: Machine, phi_deg: float) -> npt.NDArray[np.float64]:
+def _turn_deg(machine: PlanarMachine, phi_deg: float) -> npt.NDArray[np.float64]:
     return np.mod(machine.rail_deg - machine.edge_deg - phi_deg + 90.0, 180.0) - 90.0
 
 
-def _type_2_range_mm(machine: Machine, phi_deg: float) -> tuple[float, float]:
-    """Smallest and largest signed distance of the slice at φ from the line of type 2; NaN if it is empty."""
-    corners, line = slice_mm(machine, phi_deg), concurrent_line(machine, phi_deg)
-    if not len(corners):
-        return np.nan, np.nan
-    distance = corners @ line.normal - line.offset_mm
-    return float(distance.min()), float(distance.max())
-
-
-def _distance_mm(machine: Machine, phi_deg: float) -> float | None:
+def _distance_mm(machine: PlanarMachine, phi_deg: float) -> float | None:
     """Of the slice at φ from the line of type 2; 0 where it crosses, None where the slice is empty."""
-    low, high = _type_2_range_mm(machine, phi_deg)
+    low, high = type_2_range_mm(machine, phi_deg)
     return None if np.isnan(low) else max(low, -high, 0.0)
 
 
@@ -223,7 +215,7 @@ def _chord_mm(
     return np.array(ends).reshape(-1, 2)
 
 
-def _volume_by_joints_mm2_deg(machine: Machine) -> float:
+def _volume_by_joints_mm2_deg(machine: PlanarMachine) -> float:
     count, ratio = 2**20, 1.2207440846057596
     span = np.ptp(machine.limits_mm, axis=1)
     lattice = np.mod(0.5 + np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1.0, 4.0), 1.0)
@@ -240,14 +232,14 @@ def _volume_by_joints_mm2_deg(machine: Machine) -> float:
     return float(gain.sum(axis=1).mean() * np.prod(span))
 
 
-def _fits(design: Machine) -> tuple[float, npt.NDArray[np.float64], float]:
+def _fits(design: PlanarMachine) -> tuple[float, npt.NDArray[np.float64], float]:
     """Rms of error/sigma over all parameters and machines, median sigmas by parameter, median condition."""
     rng = np.random.default_rng(SEED)
     drawn = rng.uniform((-300.0, -200.0, -55.0), (400.0, 700.0, 30.0), (40_000, 3))
     poses = np.compress(contains(design, drawn), drawn, axis=0)
     ratios, sigmas, conditions = [], [], list[float]()
     for _ in range(UNITS):
-        true = Machine(
+        true = PlanarMachine(
             design.rail_start_mm + rng.normal(0, 1, (3, 2)),
             design.rail_deg + rng.normal(0, 0.2, 3),
             design.edge_deg + rng.normal(0, 0.2, 3),
@@ -275,6 +267,6 @@ def _fits(design: Machine) -> tuple[float, npt.NDArray[np.float64], float]:
     )
 
 
-def _parameters(machine: Machine) -> npt.NDArray[np.float64]:
+def _parameters(machine: PlanarMachine) -> npt.NDArray[np.float64]:
     columns = (machine.rail_deg, machine.joint_scale, machine.edge_deg, machine.edge_offset_mm)
     return np.column_stack([machine.rail_start_mm, *columns])

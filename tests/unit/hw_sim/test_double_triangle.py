@@ -7,10 +7,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from altd.instruments.planar.machine.geometry_fit import fit_geometry
+from altd.instruments.planar.machine.kinematics import poses_of
+from altd.instruments.planar.machine.singularities import concurrent_line
 from hw_sim.double_triangle import STEP_MM, DoubleTriangle, JammedError, MachineFlaws, source_machine
-from studies.planar_machine.geometry_fit import fit_geometry
-from studies.planar_machine.kinematics import double_triangle, poses_of
-from studies.planar_machine.singularities import concurrent_line
+from studies.planar_machine import double_triangle
 
 HEIGHT_MM = math.sqrt(600.0**2 - 250.0**2)
 FIXED = np.array([(0.0, 0.0), (500.0, 0.0), (250.0, HEIGHT_MM)])

@@ -7,22 +7,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from studies.planar_machine.geometry_fit import PARAMETERS, NotIdentifiableError, fit_geometry
-from studies.planar_machine.kinematics import (
-    Machine,
+from altd.instruments.planar.machine.geometry_fit import PARAMETERS, NotIdentifiableError, fit_geometry
+from altd.instruments.planar.machine.kinematics import PlanarMachine, joints_of, poses_of
+from altd.instruments.planar.machine.singularities import concurrent_line, parallel_orientations_deg
+from altd.instruments.planar.machine.workspace import area_mm2, contains, slice_mm
+from studies.planar_machine import (
     absolute_lines,
     double_triangle,
-    image_points,
-    joints_of,
-    poses_of,
-    quadrics,
-)
-from studies.planar_machine.singularities import (
-    concurrent_line,
+    face_mm,
     image_determinant,
-    parallel_orientations_deg,
+    image_points,
+    machine_of_triangles,
+    quadrics,
+    volume_mm2_deg,
 )
-from studies.planar_machine.workspace import area_mm2, contains, face_mm, slice_mm, volume_mm2_deg
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +33,7 @@ BASE_ANGLE_DEG, APEX_ANGLE_DEG = 65.3757, 49.2486
 """As the source prints them."""
 
 
-def machine() -> Machine:
+def machine() -> PlanarMachine:
     return double_triangle(BASE_MM)
 
 
@@ -113,8 +111,8 @@ class TestKinematics:
         wanted = 45 * np.array([5 / 12, -math.sqrt(119) / 12, 0.0])
         fitting = []
         for order in itertools.permutations(range(3)):
-            base = Machine.of_triangles(FIXED, edges)
-            these = Machine(
+            base = machine_of_triangles(FIXED, edges)
+            these = PlanarMachine(
                 base.rail_start_mm,
                 base.rail_deg,
                 base.edge_deg[list(order)],
@@ -161,7 +159,7 @@ class TestKinematics:
         assert abs(x0 * x1 + s1 * x0 * x3 + x2 * x3) > 1.0
 
 
-def _moves_so_when_parallel(these: Machine, wanted: Array) -> bool:
+def _moves_so_when_parallel(these: PlanarMachine, wanted: Array) -> bool:
     """Whether a translation by ``wanted`` with joint 1 locked agrees with the rails' directions, at φ = 0."""
     edge, rail = np.radians(these.edge_deg), np.radians(these.rail_deg)
     for signs in itertools.product((-45.0, 45.0), repeat=2):
@@ -229,7 +227,7 @@ class TestSingularPoses:
     def test_minus_49_degrees_belongs_to_another_assignment(self) -> None:
         """With the base on the base and the legs swapped, ±49.2486° and 0° are singular, 65.3757° is not."""
         mirrored = [(0.0, 0.0), (BASE_MM, 0.0), (BASE_MM / 2, -HEIGHT_MM)]
-        orientations = sorted(parallel_orientations_deg(Machine.of_triangles(FIXED, mirrored)))
+        orientations = sorted(parallel_orientations_deg(machine_of_triangles(FIXED, mirrored)))
         assert orientations == pytest.approx([-APEX_ANGLE_DEG, 0.0, APEX_ANGLE_DEG], abs=1e-4)
 
     @pytest.mark.parametrize("phi_deg", [-40.0, 10.0, 40.0, 55.0, 90.0])
@@ -320,9 +318,9 @@ class TestGeometryFit:
     """One step of the source's machine (§2.4.5), evenly distributed."""
     SIGMAS = np.array([0.03, 0.03, 0.02])
 
-    def true_machine(self, rng: np.random.Generator) -> Machine:
+    def true_machine(self, rng: np.random.Generator) -> PlanarMachine:
         design = machine()
-        return Machine(
+        return PlanarMachine(
             design.rail_start_mm + rng.normal(0, 1, (3, 2)),
             design.rail_deg + rng.normal(0, 0.2, 3),
             design.edge_deg + rng.normal(0, 0.2, 3),
@@ -331,7 +329,7 @@ class TestGeometryFit:
             1 + rng.normal(0, 1e-3, 3),
         )
 
-    def measured(self, true: Machine, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    def measured(self, true: PlanarMachine, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         poses = inside(count, 6)
         joints = joints_of(true, poses)
         return poses + rng.normal(0, self.SIGMAS, poses.shape), joints + rng.normal(
@@ -364,7 +362,7 @@ class TestGeometryFit:
             fit_geometry(machine(), poses, joints, np.diag(self.SIGMAS**2), self.SIGMA_JOINT_MM)
 
 
-def _parameters(machine: Machine) -> Array:
+def _parameters(machine: PlanarMachine) -> Array:
     """(3, 6), in the order of ``PARAMETERS``."""
     return np.column_stack(
         [

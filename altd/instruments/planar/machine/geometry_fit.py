@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from altd.instruments.planar.machine.kinematics import PlanarMachine, constraint_jacobian
 from altd.records import FloatArray
-from studies.planar_machine.kinematics import Machine, constraint_jacobian
 
 PARAMETERS = ("rail_start_x_mm", "rail_start_y_mm", "rail_deg", "joint_scale", "edge_deg", "edge_offset_mm")
 """Parameters of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""
@@ -27,14 +27,14 @@ class FittedGeometry:
     over their standard deviation, 1 where the stated uncertainties are right.
     """
 
-    machine: Machine
+    machine: PlanarMachine
     covariance: FloatArray
     condition: float
     rms: float
 
 
 def fit_geometry(
-    machine: Machine,
+    machine: PlanarMachine,
     poses: ArrayLike,
     joints_mm: ArrayLike,
     pose_covariance: ArrayLike,
@@ -75,7 +75,9 @@ def fit_geometry(
     return FittedGeometry(machine, inverse, condition, float(np.sqrt(errors @ errors / freedom)))
 
 
-def _linearised(machine: Machine, poses: FloatArray, joints_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _linearised(
+    machine: PlanarMachine, poses: FloatArray, joints_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Residuals (N, 3) in mm, and their derivatives (N, 3, 18) by the parameters."""
     edge, rail = np.radians(machine.edge_deg + poses[:, 2, None]), np.radians(machine.rail_deg)
     normal = np.stack([-np.sin(edge), np.cos(edge)], axis=-1)
@@ -100,7 +102,7 @@ def _linearised(machine: Machine, poses: FloatArray, joints_mm: FloatArray) -> t
     return residual, design.reshape(len(poses), 3, -1)
 
 
-def _changed(machine: Machine, step: FloatArray) -> Machine:
+def _changed(machine: PlanarMachine, step: FloatArray) -> PlanarMachine:
     x, y, rail, scale, edge, offset = step.reshape(3, len(PARAMETERS)).T
     return replace(
         machine,

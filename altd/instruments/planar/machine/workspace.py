@@ -5,17 +5,16 @@ the workspace is the overlap of the three strips, a convex polygon of at most si
 has no width at the φ of its type-1 singularity, so these orientations cut the solid into pieces.
 """
 
-from itertools import pairwise
-
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
+from altd.instruments.planar.machine.kinematics import PlanarMachine, joints_of
+from altd.instruments.planar.machine.singularities import concurrent_line
 from altd.records import FloatArray
-from studies.planar_machine.kinematics import Machine, joints_of
 
 
-def contains(machine: Machine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
+def contains(machine: PlanarMachine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
     """Whether all joints of poses (..., 3) are within their limits; False for a pose with a parallel leg."""
     joints = joints_of(machine, poses)
     with np.errstate(invalid="ignore"):
@@ -23,9 +22,9 @@ def contains(machine: Machine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
     return np.asarray(inside.all(axis=-1))
 
 
-def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
+def slice_mm(machine: PlanarMachine, phi_deg: float) -> FloatArray:
     """Corners (N, 2) of the workspace at one φ in (a, b), counter-clockwise; (0, 2) where there is none."""
-    normals, strips = _strips(machine, phi_deg)
+    normals, strips = strips_mm(machine, phi_deg)
     strips.sort(axis=1)
     to_corner = np.linalg.inv(normals[:2])
     polygon = np.array(
@@ -36,22 +35,16 @@ def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
     return polygon if area_mm2(polygon) >= 0 else polygon[::-1]
 
 
-def face_mm(machine: Machine, phi_deg: float, leg: int, end: int) -> FloatArray:
-    """Ends (2, 2) of the side of the slice at one φ where a leg is at its first or last limit; or (0, 2).
-
-    Over all φ it is a face of the solid, a part of one of the six surfaces of Eq. 2.28–2.30 (Fig. 2.10).
-    """
-    normals, strips = _strips(machine, phi_deg)
-    along = np.array([normals[leg, 1], -normals[leg, 0]])
-    foot = normals[leg] * strips[leg, end]
-    low, high = -np.inf, np.inf
-    for other in {0, 1, 2} - {leg}:
-        ends = np.sort((strips[other] - normals[other] @ foot) / (normals[other] @ along))
-        low, high = max(low, ends[0]), min(high, ends[1])
-    return foot + np.outer((low, high), along) if low < high else np.empty((0, 2))
+def type_2_range_mm(machine: PlanarMachine, phi_deg: float) -> tuple[float, float]:
+    """Smallest and largest signed distance of the slice at φ from the line of type 2; NaN if it is empty."""
+    corners, line = slice_mm(machine, phi_deg), concurrent_line(machine, phi_deg)
+    if not len(corners):
+        return np.nan, np.nan
+    distance = corners @ line.normal - line.offset_mm
+    return float(distance.min()), float(distance.max())
 
 
-def _strips(machine: Machine, phi_deg: float) -> tuple[FloatArray, FloatArray]:
+def strips_mm(machine: PlanarMachine, phi_deg: float) -> tuple[FloatArray, FloatArray]:
     """Normals (3, 2) of the edges, and n·(a, b) (3, 2) of each leg's two limits, at one φ."""
     angle = np.radians(machine.edge_deg + phi_deg)
     normals = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
@@ -60,21 +53,6 @@ def _strips(machine: Machine, phi_deg: float) -> tuple[FloatArray, FloatArray]:
         points = machine.rail_points_mm(machine.limits_mm[:, end])
         strips[:, end] = np.einsum("ij,ij->i", normals, points) - machine.edge_offset_mm
     return normals, strips
-
-
-def volume_mm2_deg(machine: Machine, first_deg: float, last_deg: float) -> float:
-    """Volume between two φ, in mm² · °: Gauss–Legendre over φ, exact in a and b.
-
-    The area has kinks where corners of the polygon meet, so the 400 points are split over twenty pieces.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    ends = np.linspace(first_deg, last_deg, 21)
-    total = 0.0
-    for low, high in pairwise(ends):
-        middle, half = (low + high) / 2, (high - low) / 2
-        areas = [area_mm2(slice_mm(machine, middle + half * node)) for node in nodes]
-        total += half * float(np.dot(weights, areas))
-    return total
 
 
 def area_mm2(corners: FloatArray) -> float:

@@ -21,7 +21,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Machine:
+class PlanarMachine:
     """Geometry: a rail and an edge for each of three legs; every array has one row or entry per leg.
 
     ``rail_start_mm`` (3, 2) and ``rail_deg`` (3,) are in the fixed frame, ``edge_deg`` (3,) and
@@ -36,21 +36,6 @@ class Machine:
     edge_offset_mm: FloatArray
     limits_mm: FloatArray
     joint_scale: FloatArray = field(default_factory=lambda: np.ones(3))
-
-    @classmethod
-    def of_triangles(cls, fixed_mm: ArrayLike, moving_mm: ArrayLike) -> Machine:
-        """Machine of two triangles by their vertices, (3, 2) each; leg i is on side i of both.
-
-        Side i connects the vertices i and i + 1; the joints may use whole rails (Fig. 2.9, Eq. 2.18–2.21).
-        """
-        fixed, moving = np.asarray(fixed_mm, float), np.asarray(moving_mm, float)
-        rails = np.roll(fixed, -1, axis=0) - fixed
-        edges = np.roll(moving, -1, axis=0) - moving
-        edge_deg = np.degrees(np.arctan2(edges[:, 1], edges[:, 0]))
-        offset = np.einsum("ij,ij->i", _normal(np.radians(edge_deg)), moving)
-        lengths = np.hypot(*rails.T)
-        limits = np.stack([np.zeros(3), lengths], axis=1)
-        return cls(fixed, np.degrees(np.arctan2(rails[:, 1], rails[:, 0])), edge_deg, offset, limits)
 
     @property
     def weights(self) -> FloatArray:
@@ -74,21 +59,7 @@ class Machine:
         return sines
 
 
-def double_triangle(base_mm: float = 500.0) -> Machine:
-    """Machine of the source: two equal isosceles triangles, long to short side 6 : 5 (§2.3.2).
-
-    The source does not print its dimensions. The rails are base, right and left leg of the fixed triangle,
-    with O at the origin and the base along x. Only one assignment of edges to rails gives Eq. 2.64: at φ = 0
-    the edges are parallel to the right leg, the left leg and the base.
-    """
-    leg_mm = 1.2 * base_mm
-    half, height = base_mm / 2, (leg_mm**2 - base_mm**2 / 4) ** 0.5
-    fixed = [(0.0, 0.0), (base_mm, 0.0), (half, height)]
-    moving = [(0.0, 0.0), (half, -height), (base_mm, 0.0)]
-    return Machine.of_triangles(fixed, moving)
-
-
-def joints_of(machine: Machine, poses: ArrayLike) -> FloatArray:
+def joints_of(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
     """Inverse kinematics: the joints (..., 3) in mm of poses (..., 3).
 
     A joint is NaN where its rail and its edge are parallel. Limits are not applied.
@@ -100,7 +71,7 @@ def joints_of(machine: Machine, poses: ArrayLike) -> FloatArray:
     return joints
 
 
-def distances_mm(machine: Machine, poses: ArrayLike) -> FloatArray:
+def distances_mm(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
     """Distance (..., 3) of each edge from the start of its rail, along the normal, in poses (..., 3)."""
     pose = np.asarray(poses, float)
     normals = _normal(np.radians(machine.edge_deg + pose[..., 2, None]))
@@ -109,7 +80,7 @@ def distances_mm(machine: Machine, poses: ArrayLike) -> FloatArray:
     return distances
 
 
-def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
+def poses_of(machine: PlanarMachine, joints_mm: ArrayLike) -> FloatArray:
     """Forward kinematics: poses (..., 2, 3) of both assembly modes, NaN where the machine cannot close.
 
     The weighted sum of the three constraints n·P − n·(a, b) = offset is free of (a, b), because Σ w n = 0. It
@@ -137,7 +108,7 @@ def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
     return np.concatenate([place, phi_deg[..., None]], axis=-1)
 
 
-def constraint_jacobian(machine: Machine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:
+def constraint_jacobian(machine: PlanarMachine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:
     """K (..., 3, 3): distance (mm) of each edge from its driven point, per mm in a and b and radian in φ.
 
     K d(a, b, φ) = sines · joint_scale · d(joints). It has no inverse where the normals of the edges in the
@@ -148,49 +119,6 @@ def constraint_jacobian(machine: Machine, poses: ArrayLike, joints_mm: ArrayLike
     lever = machine.rail_points_mm(joints_mm) - pose[..., None, :2]
     along = np.einsum("...ij,...ij->...i", _direction(edge_rad), lever)
     return np.concatenate([_normal(edge_rad), along[..., None]], axis=-1)
-
-
-def image_points(poses: ArrayLike) -> FloatArray:
-    """Points X0 … X3 (..., 4) of poses in the kinematic image space (Eq. 2.9)."""
-    pose = np.asarray(poses, float)
-    a, b, half = pose[..., 0], pose[..., 1], np.radians(pose[..., 2]) / 2
-    cosine, sine = np.cos(half), np.sin(half)
-    return np.stack([2 * cosine, a * sine - b * cosine, a * cosine + b * sine, 2 * sine], axis=-1)
-
-
-def quadrics(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
-    """Q (..., 3, 4, 4), symmetric: X′QX = 0 holds for the poses in which leg i closes (Eq. 2.22–2.24).
-
-    X′QX = P′A*l with the line l of the edge, the driven point P and A* of Eq. 2.17; the sign of s₁ in the
-    printed Eq. 2.22 and 2.28 does not fit Eq. 2.9 and 2.17.
-    """
-    normals = _normal(np.radians(machine.edge_deg))
-    line0, (line1, line2) = -machine.edge_offset_mm, normals.T
-    x, y = np.moveaxis(machine.rail_points_mm(joints_mm), -1, 0)
-    shape = x.shape
-    form = np.zeros((*shape, 4, 4))
-    straight, crossed = line1 * x + line2 * y, line1 * y - line2 * x
-    form[..., 0, 0] = line0 + straight
-    form[..., 3, 3] = line0 - straight
-    for row, column, value in (
-        (0, 3, 2 * crossed),
-        (0, 1, 2 * line2),
-        (0, 2, -2 * line1),
-        (1, 3, 2 * line1),
-        (2, 3, 2 * line2),
-    ):
-        form[..., row, column] = form[..., column, row] = value / 2
-    return form
-
-
-def absolute_lines(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
-    """Lines l (..., 3, 3), l · (X1, X2, X3) = 0, in which each quadric meets X0 = 0 (Eq. 2.25–2.27).
-
-    A quadric meets this plane in X3 = 0 too, the line that all three share. With two real lines there it is a
-    hyperbolic paraboloid.
-    """
-    form = quadrics(machine, joints_mm)
-    return np.stack([2 * form[..., 1, 3], 2 * form[..., 2, 3], form[..., 3, 3]], axis=-1)
 
 
 def _direction(angle_rad: FloatArray) -> FloatArray:
