@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable
+from datetime import date
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -12,7 +13,7 @@ from pydantic.fields import FieldInfo
 from altd.config.places import Keys
 from altd.files.table import NAME_PATTERN, Table
 
-_TYPE_NAMES = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+_TYPE_NAMES = {bool: "true or false", int: "whole number", float: "number", str: "text", date: "date"}
 
 
 def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], str]) -> str:

@@ -7,7 +7,7 @@ import itertools
 import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -20,6 +20,7 @@ from altd.config.wording import Fault, converted_values, faults_of
 from altd.errors import BadInputError
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import check_rights, read_file
+from altd.files.table import Table
 from altd.records import counted
 
 _MAX_BYTES = 1 << 16
@@ -34,6 +35,34 @@ def load_config(path: Path) -> Config:
     return config_of(read_config(path), path)
 
 
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+
+def load_tables(path: Path, kind: type[AnyTable]) -> AnyTable:
+    """Read and check a TOML file other than ``altd.toml``, such as ``fleet.toml``.
+
+    Raises BadInputError that names the file and, for each fault, line, column and key.
+    """
+    content = read_file(path, _MAX_BYTES)
+    document = _parsed(content, path)
+    try:
+        return kind.model_validate(document)
+    except ValidationError as error:
+        faults = faults_of(error, document, kind)
+        meant = [keys for fault in faults for keys in fault.replaces]
+        raise _refusal(path, (each for each in faults if each.keys not in meant), content) from error
+
+
+def _parsed(content: bytes, path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(content)
+    except TomlError as error:
+        if error.keys:
+            raise _refusal(path, [Fault(error.keys, str(error))], content) from error
+        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
+        raise BadInputError(path, f"{place}{error}") from error
+
+
 def read_config(path: Path) -> bytes:
     """Return the bytes of a config file; raises BadInputError with its name, also if others may write it."""
     check_rights(path)
@@ -45,13 +74,7 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
 
     ``further`` are rules beyond those of the settings alone.
     """
-    try:
-        document = parse_toml(content)
-    except TomlError as error:
-        if error.keys:
-            raise _refusal(path, [Fault(error.keys, str(error))], content) from error
-        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
-        raise BadInputError(path, f"{place}{error}") from error
+    document = _parsed(content, path)
     found = list(converted_values(document))
     document = _anchored(document, path.parent)
     _pair_live_cameras_by_time(document)

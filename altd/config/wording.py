@@ -13,7 +13,7 @@ from altd.config.fields import expected, field_at, tables_at, tag_at, tags_of
 from altd.config.places import Keys, Place, Places
 from altd.config.whole import Config
 from altd.errors import did_you_mean
-from altd.files.table import FAULTS, shown
+from altd.files.table import FAULTS, Table, shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,47 +118,49 @@ def _is_unquoted(text: str, is_boolean: bool) -> bool:
     return True
 
 
-def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:
-    """Return pydantic's errors, one fault per key."""
+def faults_of(error: ValidationError, document: dict[str, Any], kind: type[Table] = Config) -> list[Fault]:
+    """Return pydantic's errors about a document of this kind, one fault per key."""
     found: dict[tuple[Keys, str], Fault] = {}
     for detail in error.errors(include_url=False):
         counted = detail.get("ctx", {}).get("min_length", 0)
         if detail["type"] == "too_short" and len(detail["input"]) >= counted:
             continue  # pydantic counts only the valid elements
-        for fault in _worded(detail, document):
+        for fault in _worded(detail, document, kind):
             text = "" if detail["type"] == FAULTS else "one"  # each member of a union reports an error
             found.setdefault((fault.keys, text or fault.text), fault)
     return list(found.values())
 
 
-def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
-    keys, what = _keys(detail, document)
+def _worded(detail: ErrorDetails, document: dict[str, Any], model: type[Table]) -> Iterator[Fault]:
+    keys, what = _keys(detail, document, model)
     kind, value = detail["type"], detail["input"]
     context = detail.get("ctx", {})
     if kind == FAULTS:
         for more, text in context["faults"]:
             yield Fault((*keys, *more), text)
     elif kind == "extra_forbidden":
-        yield _unknown_key(keys, document)
+        yield _unknown_key(keys, document, model)
     elif kind == "missing":
-        kind_of_it = "table" if len(keys) == 1 else "key"
-        possible = _possible_values(keys, document).removesuffix("; possible: table")
+        possible = _possible_values(keys, document, model).removesuffix("; possible: table")
+        kind_of_it = "table" if len(keys) == 1 and (model is Config or not possible) else "key"
         yield Fault(keys, f"this {kind_of_it} is missing{possible}", "table")
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
-        yield _tag_fault(keys, value, document)
+        yield _tag_fault(keys, value, document, model)
     elif kind == "tuple_type" and isinstance(value, dict) and len(keys) == 1:
         yield Fault(keys, f"there may be several of this table; write `[[{keys[0]}]]`", "table")
     elif what == "key":
-        takes = expected(*_key_type(keys), shown)
+        takes = expected(*_key_type(keys, model), shown)
         yield Fault(keys, f"a name {WHY.get(kind, UNUSABLE)}; possible: {takes}", "key")
     else:
         why = UNUSABLE if what == "member" else WHY.get(kind, UNUSABLE)
         suggestion = _suggestion(kind, value, context)
-        possible = _possible_values(keys, document).removesuffix("; possible: text")
+        possible = _possible_values(keys, document, model).removesuffix("; possible: text")
         yield Fault(keys, f"{shown(value)} {why}{possible}{suggestion}")
 
 
-def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:
+def _keys(
+    detail: ErrorDetails, document: Any, model: type[Table]
+) -> tuple[Keys, Literal["value", "key", "member"]]:
     """Return the keys in the file, and the faulty part: value, key itself, or a union's member.
 
     pydantic inserts more: between a table and its key the value of its tag, after a key the member of a union
@@ -179,13 +181,13 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
             return tuple(keys), "member"
         keys.append(part)
         table = table[part] if there else None
-        tag = tag_at(_type_at(tuple(keys), document))
+        tag = tag_at(_type_at(tuple(keys), document, model))
     return tuple(keys), "value"
 
 
-def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
+def _tag_fault(keys: Keys, table: Any, document: dict[str, Any], kind: type[Table]) -> Fault:
     """Return the fault of a table whose tag, such as ``driver``, is missing or has no possible value."""
-    annotation = _type_at(keys, document)
+    annotation = _type_at(keys, document, kind)
     tag = tag_at(annotation)
     values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]
     choice = " or ".join(map(shown, values))
@@ -196,13 +198,13 @@ def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
     return Fault((*keys, tag), f"{shown(value)} {WHY['union_tag_invalid']}; possible: {choice}{suggestion}")
 
 
-def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
+def _unknown_key(keys: Keys, document: dict[str, Any], kind: type[Table]) -> Fault:
     """Return the fault of an unknown key: the possible keys, and the probable intended one."""
     above, name = keys[:-1], keys[-1]
     table: Any = document
     for key in above:
         table = table[key]
-    annotation = _type_at(above, document)
+    annotation = _type_at(above, document, kind)
     models = tables_at(annotation, table)
     possible = sorted({key for model in models for key in model.model_fields})
     is_table = not above and isinstance(table[name], dict | list)
@@ -212,17 +214,17 @@ def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
     replaces: list[Keys] = [(*above, suggestion.split("`")[1])] if suggestion else []
     if name in _SECRETS and "credentials" in possible:
         suggestion = "; names and passwords are in a file of their own: `credentials` is its path"
-    elif not suggestion and (homes := _tables_with(name)):
+    elif not suggestion and (homes := _tables_with(name, kind)):
         suggestion = f"; it is a {what} of {' and of '.join(homes.values())}"
         replaces = [(home,) for home in homes if home != keys[0]]
     text = f"there is no such {what}; possible: {', '.join(possible)}{suggestion}"
     return Fault(keys, text, "key", replaces=tuple(replaces))
 
 
-def _tables_with(name: str | int) -> dict[str, str]:
+def _tables_with(name: str | int, kind: type[Table]) -> dict[str, str]:
     """Return the tables that have such a key, each as written in the file and with its tag."""
     homes = {}
-    for table, field in Config.model_fields.items():
+    for table, field in kind.model_fields.items():
         inner, home = field.annotation, f"[{table}]"
         if get_origin(inner) is dict:
             inner, home = get_args(inner)[1], f"[{table}.NAME]"
@@ -246,18 +248,18 @@ def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
     )
 
 
-def _possible_values(keys: Keys, document: dict[str, Any]) -> str:
+def _possible_values(keys: Keys, document: dict[str, Any], kind: type[Table]) -> str:
     """Return the values that a key accepts, as the end of a sentence."""
-    found = field_at(keys, document, Config)
+    found = field_at(keys, document, kind)
     return "" if found is None else f"; possible: {expected(*found, shown)}"
 
 
-def _type_at(keys: Keys, document: dict[str, Any]) -> Any:
-    found = field_at(keys, document, Config)
+def _type_at(keys: Keys, document: dict[str, Any], kind: type[Table]) -> Any:
+    found = field_at(keys, document, kind)
     return None if found is None else found[0]
 
 
-def _key_type(keys: Keys) -> tuple[Any, list[Any]]:
+def _key_type(keys: Keys, kind: type[Table]) -> tuple[Any, list[Any]]:
     """Return the key type of a table with free keys."""
-    found = field_at(keys[:-1], {}, Config)
+    found = field_at(keys[:-1], {}, kind)
     return (str, []) if found is None else (get_args(found[0])[0], [])

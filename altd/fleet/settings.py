@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from altd.config.fields import expected, field_at
 from altd.config.interfaces import BrokerSettings
-from altd.config.places import Place, Places
-from altd.config.wording import UNUSABLE, WHY
-from altd.errors import BadInputError, did_you_mean
-from altd.files.documents import TomlError, parse_toml
-from altd.files.reading import check_rights, read_file
-from altd.files.table import Table, shown
-
-_MAX_BYTES = 1 << 16
+from altd.config.loading import load_tables
+from altd.errors import BadInputError
+from altd.files.reading import check_rights
+from altd.files.table import Table
 
 
 class FleetBrokerSettings(BrokerSettings):
@@ -59,16 +52,7 @@ def load_fleet_settings(path: Path) -> FleetSettings:
     Raises BadInputError that names the file and, for each fault, line, column and key.
     """
     check_rights(path)
-    content = read_file(path, _MAX_BYTES)
-    try:
-        document = parse_toml(content)
-        settings = FleetSettings.model_validate(document)
-    except TomlError as error:
-        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
-        raise BadInputError(path, f"{place}{error}") from error
-    except ValidationError as error:
-        text = content.decode()
-        raise BadInputError(path, *_faults(error, document, Places(text, tomllib.loads(text)))) from error
+    settings = load_tables(path, FleetSettings)
     broker = settings.broker
     paths = {
         name: path.parent / value
@@ -85,25 +69,3 @@ def check_client() -> None:
     except ImportError as error:
         text = "needs psycopg, which comes with the extra altd[fleet], and libpq (Debian package libpq5)"
         raise BadInputError("database.connection", text) from error
-
-
-def _faults(error: ValidationError, document: dict[str, Any], places: Places) -> Iterator[str]:
-    for detail in error.errors(include_url=False):
-        keys = tuple(detail["loc"])
-        of_key = places.key if detail["type"] == "extra_forbidden" else places.value
-        place = of_key(keys) or places.nearest(keys)
-        where = f"{f'{place}: ' if place else ''}{'.'.join(map(str, keys))}"
-        if detail["type"] == "extra_forbidden":
-            above = field_at(keys[:-1], document, FleetSettings)
-            table = FleetSettings if above is None or not keys[:-1] else above[0]
-            names = list(table.model_fields)
-            suggestion = did_you_mean(keys[-1], names)
-            yield f"{where}: there is no such key; possible: {', '.join(names)}{suggestion}"
-        elif detail["type"] == "missing":
-            yield f"{where}: this key is missing"
-        elif "faults" in detail.get("ctx", {}):
-            yield f"{where}: {'; '.join(text for _, text in detail['ctx']['faults'])}"
-        else:
-            found = field_at(keys, document, FleetSettings)
-            takes = "" if found is None else f"; possible: {expected(*found, shown)}"
-            yield f"{where}: {shown(detail['input'])} {WHY.get(detail['type'], UNUSABLE)}{takes}"

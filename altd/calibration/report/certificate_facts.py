@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from datetime import date
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from altd.config.places import Place, Places
-from altd.errors import BadInputError, did_you_mean
-from altd.files.documents import TomlError, parse_toml
-from altd.files.reading import read_file
+from altd.config.loading import load_tables
+from altd.errors import BadInputError
 from altd.files.table import Table
-
-_MAX_BYTES = 1 << 16
 
 Text = Annotated[str, Field(min_length=1, max_length=400)]
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
@@ -102,36 +97,7 @@ class Facts(Table):
 
 def load_facts(path: Path) -> Facts:
     """Read and check a file; raises BadInputError with a message for each fault, with its line and key."""
-    content = read_file(path, _MAX_BYTES)
-    try:
-        document = parse_toml(content)
-        facts = Facts.model_validate(document)
-    except TomlError as error:
-        at = "" if error.line is None else f"{Place(error.line, error.column or 1)}: "
-        raise BadInputError(path, f"{at}{error}") from error
-    except ValidationError as error:
-        places = Places(content.decode(), tomllib.loads(content.decode()))
-        faults = []
-        for detail in error.errors(include_url=False):
-            keys = detail["loc"]
-            where = places.value(keys) or places.nearest(keys)
-            said = detail["msg"]
-            if detail["type"] == "extra_forbidden":
-                where = places.key(keys)
-                said = f"there is no such key{did_you_mean(keys[-1], _keys_beside(keys))}"
-            elif detail["type"] == "missing":
-                said = "is missing"
-            faults.append(f"{f'{where}: ' if where else ''}{'.'.join(map(str, keys))}: {said}")
-        raise BadInputError(path, *faults) from error
+    facts = load_tables(path, Facts)
     if facts.valid_until is not None and facts.valid_until <= facts.performed:
         raise BadInputError(path, "valid_until: is not after performed")
     return facts
-
-
-def _keys_beside(keys: tuple[str | int, ...]) -> list[str]:
-    """Possible keys of the table that contains a key."""
-    tables: dict[str | int, type[Table]] = {
-        "laboratory": Contact, "customer": Contact, "operator": Operator, "unit": UnitFacts,
-        "environment": Environment, "traceability": Traceability, "equipment": Equipment,
-    }  # fmt: skip
-    return list((Facts if len(keys) == 1 else tables.get(keys[0], Facts)).model_fields)

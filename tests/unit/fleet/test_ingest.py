@@ -109,11 +109,11 @@ def test_the_example_is_good() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("host", "hots", "2:1: broker.hots: there is no such key; possible: host, port"),
+        ("host", "hots", "2:1: broker.hots: there is no such key; possible: ca, certificate"),
         ('host = "broker.plant.example"\n', "", "1:1: broker.host: this key is missing"),
         ('"broker.plant.example"', '"mqtt://x"', '2:8: broker.host: "mqtt://x" is not a host name'),
         ('"dbname=altd"', "5", "6:14: database.connection: 5 is not text: write it in quotes"),
-        ("[database]", "[databse]", "there is no such key; possible: broker, database, retention; did you"),
+        ("[database]", "[databse]", "there is no such table; possible: broker, database, retention; did you"),
         (GOOD, GOOD + "[retention]\nseconds_days = 1\n", "8:16: retention.seconds_days: 1 is too small"),
         ("[broker]", "[broker", "1:8: "),
     ],

@@ -95,10 +95,11 @@ def test_wrong_facts_end_the_command_before_any_work(scan: Path, tmp_path: Path)
     facts.write_text((ROOT / "config" / "certificate.toml").read_text().replace("number =", "nummer ="))
     done = altd_here("calibrate", scan, "-o", tmp_path / "cal.json", "--certificate", facts)
     assert (done.status, done.out) == (2, "")
-    assert done.err.splitlines() == [
-        f"altd calibrate: {facts}: number: is missing",
-        f"altd calibrate: {facts}: line 2, column 1: nummer: there is no such key; did you mean `number`?",
-    ]
+    [said] = done.err.splitlines()
+    assert said.startswith(
+        f"altd calibrate: {facts}: line 2, column 1: nummer: there is no such key; possible: "
+    )
+    assert said.endswith("; did you mean `number`?")
     assert list(tmp_path.iterdir()) == [facts]
 
 
