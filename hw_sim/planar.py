@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -188,11 +188,12 @@ def places_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Stay:
-    """A pose of the plate with its lit LEDs; ``stated`` is the pose stated in the recording."""
+    """A pose of the plate with its lit LEDs; ``stated`` and ``joints_mm`` are stated in the recording."""
 
     pose: Pose
     lit: tuple[int, ...]
     stated: Pose | None = None
+    joints_mm: tuple[float, ...] = ()
     lights: tuple[Light, ...] = ()
 
 
@@ -224,15 +225,18 @@ def record(
         (draft / "plate").mkdir(parents=True)
         with (draft / "frames.csv").open("w", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow((*COLUMNS, "a_mm", "b_mm", "phi_deg"))
+            of_machine = ("joint_1_mm", "joint_2_mm", "joint_3_mm") if any(s.joints_mm for s in stays) else ()
+            table.writerow((*COLUMNS, "a_mm", "b_mm", "phi_deg", *of_machine))
             sequence = 0
             for stay in stays:
                 mean = scene.mean_electrons(stay.pose, stay.lit, stay.lights)
                 stated = ("", "", "") if stay.stated is None else tuple(f"{x:.4f}" for x in stay.stated)
+                joints = tuple(f"{x:.4f}" for x in stay.joints_mm) or ("",) * len(of_machine)
                 for _ in range(exposures):
                     name = f"plate/{sequence:06d}.png"
                     (draft / name).write_bytes(cv2.imencode(".png", scene.expose(mean), STORED)[1].tobytes())
-                    table.writerow((sequence, f"{sequence / FPS:.6f}", "plate", name, "on", "", "", *stated))
+                    row = sequence, f"{sequence / FPS:.6f}", "plate", name, "on", "", "", *stated, *joints
+                    table.writerow(row)
                     sequence += 1
                     progress(sequence, len(stays) * exposures)
         (draft / "recording.json").write_text(json.dumps(header, indent=1) + "\n")
@@ -269,7 +273,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unknown", type=natural, default=0, help="poses to be measured (default: 0)")
     parser.add_argument("--lit", type=at_least_one, help="LEDs lit at those (default: lost from 7 to 2)")
     parser.add_argument("--exposures", type=at_least_one, default=4, help="frames per pose (default: 4)")
-    machine = "let the 3-PRP machine move the plate to the unknown poses, with --lit 7; joints in the truth"
+    machine = "let the 3-PRP machine move the plate to the unknown poses, with --lit 7; and state its joints"
     parser.add_argument("--machine", action="store_true", help=machine)
 
 
@@ -287,6 +291,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         unknown, joints = scene.poses(arguments.unknown), []
     stays = known_and_unknown(scene, known, unknown, lit)
+    for at, of_pose in enumerate(joints, start=len(known)):
+        stays[at] = replace(stays[at], joints_mm=tuple(of_pose))
     record(arguments.output, scene, stays, arguments.exposures, terminal_progress("planar-recording"))
     if arguments.truth is not None:
         keys = ("a_mm", "b_mm", "phi_deg")

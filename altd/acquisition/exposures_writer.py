@@ -41,8 +41,8 @@ class RecordingPlan:
     """Command in the recording's note."""
     plate: PlateHeader | LedPlateHeader | None = None
     """Plates in place of the targets for kind ``plate``; the plate with LEDs for kind ``planar``."""
-    pose: tuple[float, float, float] | None = None
-    """Known pose of the plate for kind ``planar``, (a mm, b mm, φ °)."""
+    stated: Mapping[str, float] | None = None
+    """Known pose of the plate for kind ``planar``, or joints of its machine, by their columns."""
     has_opaque: bool = False
     """Whether the cameras view targets that are switched in turn."""
 
@@ -86,7 +86,7 @@ class ExposuresWriter:
                 name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
             }
             self._writer = RecordingWriter(
-                self._path, self._header(), pose=self._plan.pose, has_opaque=self._plan.has_opaque
+                self._path, self._header(), stated=self._plan.stated, has_opaque=self._plan.has_opaque
             )
         self._check_cameras()
         t_s = (pair.t_ns - self._first_ns) * 1e-9

@@ -60,9 +60,10 @@ class PlanarReplay:
                 place=lambda sequence: RestPlace(stay),
             ),
         )
-        total, pose = len(self.recording.rows), None
+        total, stated = len(self.recording.rows), None
         for done, row in enumerate(self.recording.rows, start=1):
-            stay, pose = stay + (row.pose != pose), row.pose
+            here = row.pose, row.joints_mm
+            stay, stated = stay + (here != stated), here
             yield from chain.push(self.recording.frame(row))
             progress(done, total)
 

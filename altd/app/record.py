@@ -35,16 +35,13 @@ from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
-KnownPose = tuple[float, float, float]
-"""Known pose of a plate: a mm, b mm, φ °."""
-
 
 async def record_of(
     config: Config,
     place: Path,
     folder: Path,
     seconds: float,
-    shows: Kind | PlateHeader | KnownPose,
+    shows: Kind | PlateHeader | Mapping[str, float],
     progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
     """Record from the config's cameras into ``folder``; return the number of exposures.
@@ -52,17 +49,17 @@ async def record_of(
     ``progress`` receives the count and the total after each exposure. For a self-check the frame LEDs are
     switched off and on in turn; raises BadInputError if live cameras have none. Raises LampsError and
     CameraError on a failure while recording. ``shows`` is the kind; or the plate for kind ``plate``; or the
-    known pose of the config's plate with LEDs.
+    known pose of the config's plate with LEDs, or the joints of its machine, by the columns of a recording.
     """
     refuse_used_folder(folder)
-    plate, kind, pose = _shown(config, place, shows)
+    plate, kind, stated = _shown(config, place, shows)
     cameras = cameras_of(config, place)
     lamps = lamps_of(config, cameras, place) if kind == "self-check" else None
     is_live = any(isinstance(camera, LiveCameraSettings) for camera in config.cameras.values())
     if kind == "self-check" and lamps is None and is_live:
         raise BadInputError(place, "no [lamps] table: the frame LEDs of a self-check cannot be switched")
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
-    plan = RecordingPlan(seconds, unit, targets or None, kind, plate=plate, pose=pose)
+    plan = RecordingPlan(seconds, unit, targets or None, kind, plate=plate, stated=stated)
     health, exposure = Health(SystemClock()), exposure_controls_of(config)
     switches = switches_of(config, cameras, place)
     if switches is None or kind != "measurement":
@@ -87,18 +84,20 @@ async def record_of(
 
 
 def _shown(
-    config: Config, place: Path, shows: Kind | PlateHeader | KnownPose
-) -> tuple[PlateHeader | LedPlateHeader | None, Kind, KnownPose | None]:
-    """Return the plate, the kind of the recording, and the known pose."""
+    config: Config, place: Path, shows: Kind | PlateHeader | Mapping[str, float]
+) -> tuple[PlateHeader | LedPlateHeader | None, Kind, Mapping[str, float] | None]:
+    """Return the plate, the kind of the recording, and the known pose or joints."""
     if config.unit.instrument != "planar":
-        if isinstance(shows, tuple):
-            raise BadInputError(place, '--pose requires instrument = "planar"')
+        if isinstance(shows, Mapping):
+            raise BadInputError(place, '--pose and --joints require instrument = "planar"')
         return (shows, "plate", None) if isinstance(shows, PlateHeader) else (None, shows, None)
     if isinstance(shows, PlateHeader) or shows in ("flat", "self-check"):
-        raise BadInputError(place, 'instrument = "planar" is recorded with only --pose, or without a kind')
+        raise BadInputError(
+            place, 'instrument = "planar" is recorded with only --pose or --joints, or without a kind'
+        )
     if (plate := led_plate_of(config)) is None:
         raise BadInputError(place, "no [plate] table: the places of the plate's LEDs are part of a recording")
-    return plate, "planar", shows if isinstance(shows, tuple) else None
+    return plate, "planar", shows if isinstance(shows, Mapping) else None
 
 
 def scanner_of(  # noqa: PLR0913  the parts of a scan

@@ -6,6 +6,8 @@ import argparse
 import asyncio
 import logging
 import math
+from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from altd.cli.arguments import add_config, add_output, progress_on
@@ -13,6 +15,7 @@ from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
 from altd.process.standard_streams import print_errors
+from altd.recording.frames_table import JOINT_COLUMNS, POSE_COLUMNS
 
 if TYPE_CHECKING:
     from altd.recording.header import PlateHeader
@@ -37,11 +40,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="C,R,MM",
         help="columns, rows and pitch of the plate's LEDs; needed with `--kind plate`",
     )
-    parser.add_argument(
+    stated = parser.add_mutually_exclusive_group()
+    stated.add_argument(
         "--pose",
-        type=_pose,
+        type=partial(_numbers, "pose", POSE_COLUMNS),
         metavar="A,B,PHI",
         help="known pose of the plate of `planar`, mm and degrees; write it as --pose=A,B,PHI",
+    )
+    stated.add_argument(
+        "--joints",
+        type=partial(_numbers, "place of three joints", JOINT_COLUMNS),
+        metavar="J1,J2,J3",
+        help="joints of the machine that moves it, mm, for `altd planar`",
     )
 
 
@@ -68,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         show(done, planned)
 
     with logging_to_stderr(logging.WARNING):
-        shows = options.pose or options.plate or options.kind
+        shows = options.pose or options.joints or options.plate or options.kind
         work = record_of(config, options.config, options.output, options.seconds, shows, progress)
         try:
             exposures = asyncio.run(until_signal(work))
@@ -96,14 +106,16 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _pose(text: str) -> tuple[float, float, float]:
+def _numbers(what: str, limits: Mapping[str, float], text: str) -> dict[str, float]:
+    """Return three numbers by their columns in a recording."""
     try:
-        a_mm, b_mm, phi_deg = map(float, text.split(","))
+        values = dict(zip(limits, map(float, text.split(",")), strict=True))
     except ValueError:
-        a_mm = b_mm = phi_deg = math.nan
-    if not (abs(a_mm) <= 10_000 and abs(b_mm) <= 10_000 and abs(phi_deg) <= 360):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a pose; possible: A,B,PHI such as 0,700,-15")
-    return a_mm, b_mm, phi_deg
+        values = dict.fromkeys(limits, math.nan)
+    if not all(abs(value) <= limits[column] for column, value in values.items()):
+        said = f"{text!r} is not a {what}; possible: three numbers such as 0,700,-15"
+        raise argparse.ArgumentTypeError(said)
+    return values
 
 
 def _plate(text: str) -> PlateHeader:

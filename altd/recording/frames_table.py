@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -16,15 +17,17 @@ from altd.files.reading import UnchangedFile
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 OPAQUE = "opaque"
 """Name of an optional column, for switched targets."""
-POSE_COLUMNS = ("a_mm", "b_mm", "phi_deg")
-"""Names of further columns, for the known pose of a plate."""
 
 MAX_T_S = 1e9
 """Maximum time, thirty years, s: the times of a recording count from its start."""
 MAX_SEQUENCE = 2**53
 """Maximum sequence: whole numbers up to here are exact as floats, thus in every JSON reader."""
 MAX_POSITION_MM = 10_000.0
-_MAX_TURN_DEG = 360.0
+
+POSE_COLUMNS = {"a_mm": MAX_POSITION_MM, "b_mm": MAX_POSITION_MM, "phi_deg": 360.0}
+"""Names of further columns, for the known pose of a plate, each with its largest value."""
+JOINT_COLUMNS = dict.fromkeys(("joint_1_mm", "joint_2_mm", "joint_3_mm"), MAX_POSITION_MM)
+"""The same for the joints of the machine that moves the plate."""
 
 _MAX_BYTES = 1 << 28
 """Maximum size of the table; a day of two cameras at 20 frames per second takes 210 MB."""
@@ -35,7 +38,7 @@ class FrameLine:
     """One line of ``frames.csv``; ``position_mm`` is the stage's position of the beam, if known.
 
     ``opaque`` names the target that was switched to show the spot; empty: none. ``pose`` is that of a plate,
-    (a mm, b mm, φ °), if known.
+    (a mm, b mm, φ °), ``joints_mm`` the place of the machine that moves it, if known.
     """
 
     number: int
@@ -46,7 +49,8 @@ class FrameLine:
     leds_on: bool
     position_mm: tuple[float, float] | None
     opaque: str = ""
-    pose: tuple[float, float, float] | None = None
+    pose: tuple[float, ...] | None = None
+    joints_mm: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +110,8 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Frame
     try:
         reader = csv.DictReader(table.lines(), strict=True)
         columns = list(reader.fieldnames or ())
-        of_pose = POSE_COLUMNS if set(POSE_COLUMNS) & set(columns) else ()
-        for column in (*COLUMNS, *of_pose):
+        further = [group for group in (POSE_COLUMNS, JOINT_COLUMNS) if set(group) & set(columns)]
+        for column in (*COLUMNS, *chain.from_iterable(further)):
             if columns.count(column) != 1:
                 what = "is repeated" if column in columns else "is missing"
                 what += "; columns are separated by commas" if len(columns) == 1 else ""
@@ -171,21 +175,21 @@ def _read_row(
         leds_on,
         position,
         opaque,
-        _pose(place, record),
+        _stated(place, record, POSE_COLUMNS),
+        _stated(place, record, JOINT_COLUMNS),
     )
 
 
-def _pose(place: str, record: Mapping[str, str | None]) -> tuple[float, float, float] | None:
-    """Return the known pose of a plate; None if the row does not give it."""
-    text = [(record.get(column) or "").strip() for column in POSE_COLUMNS]
-    if not any(text):
+def _stated(
+    place: str, record: Mapping[str, str | None], columns: Mapping[str, float]
+) -> tuple[float, ...] | None:
+    """Return the numbers of further columns; None if the row does not give them."""
+    texts = {column: (record.get(column) or "").strip() for column in columns}
+    if not any(texts.values()):
         return None
-    if not all(text):
-        raise BadInputError(place, "a_mm, b_mm and phi_deg must all be given or all be empty")
-    a_mm, b_mm = (
-        _number(place, *each, MAX_POSITION_MM) for each in zip(POSE_COLUMNS[:2], text, strict=False)
-    )
-    return a_mm, b_mm, _number(place, POSE_COLUMNS[2], text[2], _MAX_TURN_DEG)
+    if not all(texts.values()):
+        raise BadInputError(place, f"{', '.join(columns)} must all be given or all be empty")
+    return tuple(_number(place, column, text, columns[column]) for column, text in texts.items())
 
 
 def _number(place: str, column: str, text: str, limit: float) -> float:

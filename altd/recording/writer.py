@@ -8,7 +8,7 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import cv2
@@ -54,8 +54,8 @@ class RecordingWriter:
 
     Raises BadInputError if the folder exists and is not empty. With ``resume_at`` it continues in the folder
     of an earlier writer, after that many bytes of its table; the existing header is kept, and must have the
-    same cameras and unit. ``pose`` is the known one of a plate, (a mm, b mm, φ °). ``has_opaque``: the table
-    has a column of the target that was switched to show the spot.
+    same cameras and unit. ``stated``: values of further columns, the known pose of a plate or the joints of
+    its machine. ``has_opaque``: the table has a column of the target that was switched to show the spot.
     """
 
     def __init__(
@@ -63,14 +63,14 @@ class RecordingWriter:
         path: Path,
         header: RecordingHeader,
         resume_at: int | None = None,
-        pose: tuple[float, float, float] | None = None,
+        stated: Mapping[str, float] | None = None,
         has_opaque: bool = False,
     ) -> None:
         self._path = path
         self._header = header
         self._has_opaque = has_opaque
-        is_planar = header.kind == "planar"
-        self._pose: tuple[object, ...] = (pose or ("", "", "")) if is_planar else ()
+        blank = dict.fromkeys(POSE_COLUMNS if header.kind == "planar" else (), "")
+        self._stated: dict[str, object] = {**blank, **(stated or {})}
         if resume_at is not None:
             self._resume(header, resume_at)
             return
@@ -84,7 +84,7 @@ class RecordingWriter:
         try:
             (path / HEADER_FILE).write_bytes(_encoded(header))
             self._file = (path / FRAMES_FILE).open("ab", buffering=0)
-            self._append((*COLUMNS, *(POSE_COLUMNS if is_planar else ()), *((OPAQUE,) if has_opaque else ())))
+            self._append((*COLUMNS, *self._stated, *((OPAQUE,) if has_opaque else ())))
         except OSError as error:
             shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
@@ -133,7 +133,8 @@ class RecordingWriter:
             (self._path / name).write_bytes(data.tobytes())
             leds = "on" if frame.leds_on else "off"
             opaque = (frame.opaque,) if self._has_opaque else ()
-            self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *self._pose, *opaque))
+            stated = self._stated.values()
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *stated, *opaque))
         except OSError:  # a full disk: a partial file is not part of the recording
             (self._path / name).unlink(missing_ok=True)
             raise

@@ -268,6 +268,15 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
     (recorded[3] / "recording.json").write_text(json.dumps(header))
     said = refusal(altd_here("calibrate", *recorded, "-o", tmp_path / "other.json"))
     assert f"{recorded[3] / 'recording.json'}: plate: is not that of {recorded[0]}" in said
+    done = altd_here(
+        *("record", "-o", tmp_path / "driven", "--seconds", 1, "--joints=120,300.5,450", "--config", config)
+    )
+    head, first, *_ = (tmp_path / "driven/frames.csv").read_text().splitlines()
+    assert (done.status, head.endswith(",a_mm,b_mm,phi_deg,joint_1_mm,joint_2_mm,joint_3_mm")) == (0, True)
+    assert first.endswith(",,,,,,120.0,300.5,450.0")
+    both = ("--pose=0,700,0", "--joints=1,2,3")
+    said = refusal(altd_here("record", "-o", tmp_path / "x", "--seconds", 1, *both, "--config", config))
+    assert "not allowed with" in said
     config.write_text(played)
     assert "no [plate] table" in refusal(
         altd_here("record", "-o", tmp_path / "x", "--seconds", 1, "--config", config)

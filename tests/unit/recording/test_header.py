@@ -142,6 +142,14 @@ def test_leds_and_poses_are_read_and_no_target_distance_is_needed(tmp_path: Path
     assert [row.pose for row in recording.rows] == [(0.5, 700.0, -180.0), None]
 
 
+def test_joints_of_a_machine_are_read_with_poses_or_without(tmp_path: Path) -> None:
+    columns = f"{COLUMNS},joint_1_mm,joint_2_mm,joint_3_mm"
+    rows = ("0,0.0,eye,0.png,on,,,,,,120,-3.5,450", "1,0.05,eye,0.png,on,,,0.5,700,-180,,,")
+    recording = written(tmp_path, None, *rows, columns=columns)
+    assert [row.joints_mm for row in recording.rows] == [(120.0, -3.5, 450.0), None]
+    assert [row.pose for row in recording.rows] == [None, (0.5, 700.0, -180.0)]
+
+
 def test_a_table_without_the_columns_has_no_pose(tmp_path: Path) -> None:
     columns = COLUMNS.removesuffix(",a_mm,b_mm,phi_deg")
     recording = written(tmp_path, None, "0,0.0,eye,0.png,on,,", columns=columns)
@@ -173,8 +181,8 @@ def test_a_wrong_header_is_refused_by_its_key(tmp_path: Path, change: dict[str, 
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("0,0.0,eye,0.png,on,,,1,,", "a_mm, b_mm and phi_deg must all be given or all be empty"),
-        ("0,0.0,eye,0.png,on,,,1,2", "a_mm, b_mm and phi_deg must all be given or all be empty"),
+        ("0,0.0,eye,0.png,on,,,1,,", "a_mm, b_mm, phi_deg must all be given or all be empty"),
+        ("0,0.0,eye,0.png,on,,,1,2", "a_mm, b_mm, phi_deg must all be given or all be empty"),
         ("0,0.0,eye,0.png,on,,,1,nan,3", "b_mm 'nan' is not a number"),
         ("0,0.0,eye,0.png,on,,,1,2,361", "phi_deg '361' is larger than 360"),
         ("0,0.0,eye,0.png,on,,,2e4,2,0", "a_mm '2e4' is larger than 10000"),
