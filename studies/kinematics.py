@@ -10,10 +10,10 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
 from altd.instruments.planar.machine.geometry_fit import PARAMETERS, fit_geometry
-from altd.instruments.planar.machine.kinematics import PlanarMachine, joints_of, poses_of
+from altd.instruments.planar.machine.kinematics import PlanarMachine, poses_of
 from altd.instruments.planar.machine.singularities import concurrent_line, parallel_orientations_deg
-from altd.instruments.planar.machine.workspace import area_mm2, contains, slice_mm, type_2_range_mm
-from studies.planar_machine import double_triangle, face_mm, volume_mm2_deg
+from altd.instruments.planar.machine.workspace import area_mm2, slice_mm, type_2_range_mm
+from studies.planar_machine import contains, double_triangle, face_mm, joints_of, volume_mm2_deg
 from studies.plot import GREY, OURS, THESIS, THIRD
 from studies.result import Column, Progress, Result, Row
 
@@ -256,17 +256,11 @@ def _fits(design: PlanarMachine) -> tuple[float, npt.NDArray[np.float64], float]
             np.diag(SIGMA_POSE**2),
             SIGMA_JOINT_MM,
         )
-        sigma = np.sqrt(np.diag(fitted.covariance)).reshape(3, len(PARAMETERS))
-        ratios.append((_parameters(fitted.machine) - _parameters(true)) / sigma)
-        sigmas.append(sigma)
+        ratios.append((fitted.machine.parameters - true.parameters) / fitted.sigmas)
+        sigmas.append(fitted.sigmas)
         conditions.append(fitted.condition)
     return (
         float(np.sqrt(np.mean(np.square(ratios)))),
         np.median(np.reshape(sigmas, (-1, len(PARAMETERS))), axis=0),
         float(np.median(conditions)),
     )
-
-
-def _parameters(machine: PlanarMachine) -> npt.NDArray[np.float64]:
-    columns = (machine.rail_deg, machine.joint_scale, machine.edge_deg, machine.edge_offset_mm)
-    return np.column_stack([machine.rail_start_mm, *columns])

@@ -1,13 +1,17 @@
-"""The source's double triangular manipulator (§2.3): size, image space, and the solid of its workspace."""
+"""The source's double triangular manipulator (§2.3): inverse kinematics, image space, the solid workspace."""
 
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from altd.instruments.planar.machine.kinematics import PlanarMachine, distances_mm
+from altd.instruments.planar.machine.kinematics import PlanarMachine, gaps_mm
 from altd.instruments.planar.machine.workspace import area_mm2, slice_mm, strips_mm
 from altd.records import FloatArray
+
+_PARALLEL = 1e-12
+"""|sin| of the angle between rail and edge below which a joint is undetermined."""
 
 
 def machine_of_triangles(fixed_mm: ArrayLike, moving_mm: ArrayLike) -> PlanarMachine:
@@ -38,6 +42,26 @@ def double_triangle(base_mm: float = 500.0) -> PlanarMachine:
     fixed = [(0.0, 0.0), (base_mm, 0.0), (half, height)]
     moving = [(0.0, 0.0), (half, -height), (base_mm, 0.0)]
     return machine_of_triangles(fixed, moving)
+
+
+def joints_of(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
+    """Inverse kinematics: the joints (..., 3) in mm of poses (..., 3).
+
+    A joint is NaN where its rail and its edge are parallel. Limits are not applied.
+    """
+    pose = np.asarray(poses, float)
+    sines = machine.crossing_sines(pose[..., 2])
+    safe = np.where(np.abs(sines) < _PARALLEL, np.nan, sines)
+    joints: FloatArray = -gaps_mm(machine, pose, np.zeros(3)) / (safe * machine.joint_scale)
+    return joints
+
+
+def contains(machine: PlanarMachine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
+    """Whether all joints of poses (..., 3) are within their limits; False for a pose with a parallel leg."""
+    joints = joints_of(machine, poses)
+    with np.errstate(invalid="ignore"):
+        inside = (joints >= machine.limits_mm[:, 0]) & (joints <= machine.limits_mm[:, 1])
+    return np.asarray(inside.all(axis=-1))
 
 
 def image_points(poses: ArrayLike) -> FloatArray:
@@ -97,7 +121,7 @@ def image_determinant(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
         quadrics(machine, np.ones(3)) - quadrics(machine, np.zeros(3)),
     )
     sines = machine.crossing_sines(pose[..., 2])
-    travel = distances_mm(machine, pose) / machine.joint_scale
+    travel = -gaps_mm(machine, pose, np.zeros(3)) / machine.joint_scale
     forms = sines[..., None, None] * start + travel[..., None, None] * slope
     points = image_points(pose)
     gradients = 2 * np.einsum("...pij,...j->...pi", forms, points)

@@ -30,6 +30,7 @@ from altd.cli import (
     locate,
     map,  # noqa: A004  the command's name
     password,
+    planar,
     record,
     refraction,
     registers,
@@ -72,6 +73,7 @@ COMMANDS: dict[str, Command] = {
     "axis": axis,
     "selfcheck": selfcheck,
     "verify": verify,
+    "planar": planar,
     "baseline": baseline,
     "status": status,
     "watch": watch,

@@ -22,6 +22,7 @@ PAGES = {
     "axis": "machine.md",
     "selfcheck": "selfcheck.md",
     "verify": "verify.md",
+    "planar": "planar.md",
     "baseline": "chain.md",
     "status": "console.md",
     "watch": "console.md",

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from altd.instruments.planar.machine.kinematics import PlanarMachine, constraint_jacobian
+from altd.instruments.planar.machine.kinematics import PlanarMachine, constraint_jacobian, gaps_mm
 from altd.records import FloatArray
 
 PARAMETERS = ("rail_start_x_mm", "rail_start_y_mm", "rail_deg", "joint_scale", "edge_deg", "edge_offset_mm")
 """Parameters of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""
 _MAX_ITERATIONS = 30
+_NOT_CONVERGED = "the fit does not converge: joints, poses and design do not belong together"
 _MAX_CONDITION = 1e7
 """Maximum condition of the scaled design; beyond it, parameters are uncertain by kilometres."""
 
@@ -23,14 +24,23 @@ class NotIdentifiableError(ValueError):
 class FittedGeometry:
     """A machine with the covariance (18, 18) of its parameters, in the units of ``PARAMETERS``.
 
-    ``condition`` is that of the design, each parameter scaled by its effect; ``rms`` that of the residuals
-    over their standard deviation, 1 where the stated uncertainties are right.
+    ``condition`` is that of the design, each parameter scaled by its effect. ``misfits`` (N,) are the squared
+    distances of the poses from the fit of the others, in sigmas: chi-square of three degrees of freedom.
+    ``leverages`` (N,) are the largest shares of a pose in its own prediction; from 1 on, no other checks it.
     """
 
     machine: PlanarMachine
     covariance: FloatArray
     condition: float
-    rms: float
+    chi2: float
+    degrees_of_freedom: int
+    misfits: FloatArray
+    leverages: FloatArray
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard uncertainties (3, 6) of ``PlanarMachine.parameters``."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(3, -1))
 
 
 def fit_geometry(
@@ -39,18 +49,20 @@ def fit_geometry(
     joints_mm: ArrayLike,
     pose_covariance: ArrayLike,
     sigma_joint_mm: float,
+    common_sigmas: ArrayLike = (0.0, 0.0, 0.0),
 ) -> FittedGeometry:
     """Fit all eighteen parameters to N poses (N, 3) and the joints (N, 3) at which they were measured.
 
     ``machine`` is the design geometry, used as initial estimate; ``pose_covariance`` (3, 3) or (N, 3, 3) is
-    in mm² and °². The implicit model n·P(q) − n·(a, b) − offset = 0 (Eq. 2.62) is weighted by the propagated
-    uncertainty of pose and joints, which equals Eq. 2.61 to first order and stays finite at singular poses.
+    in mm² and °²; ``common_sigmas`` (3,), in mm and °, are those of errors that all poses share. The implicit
+    model n·P(q) − n·(a, b) − offset = 0 (Eq. 2.62) is weighted by the propagated uncertainty of pose and
+    joints, which equals Eq. 2.61 to first order and stays finite at singular poses.
     Raises NotIdentifiableError if the poses do not determine the geometry or the iteration does not converge.
     """
     pose, joints = np.asarray(poses, float), np.asarray(joints_mm, float)
     per_pose = np.array([1.0, 1.0, np.pi / 180.0])
     covariance = np.asarray(pose_covariance, float) * np.outer(per_pose, per_pose)
-    for _ in range(_MAX_ITERATIONS):
+    for iteration in range(_MAX_ITERATIONS):
         residual, design = _linearised(machine, pose, joints)
         moved = constraint_jacobian(machine, pose, joints)
         slack = moved @ covariance @ np.swapaxes(moved, 1, 2)
@@ -63,16 +75,30 @@ def fit_geometry(
         left, singular, right = np.linalg.svd(white / scale, full_matrices=False)
         condition = float(singular[0] / max(singular[-1], np.finfo(float).tiny))
         if len(errors) < len(scale) or condition > _MAX_CONDITION:
+            if iteration > 0:
+                raise NotIdentifiableError(_NOT_CONVERGED)
             raise NotIdentifiableError(f"the poses do not determine {_names(right[-1])}")
         step = -(right.T @ ((left.T @ errors) / singular)) / scale
         machine = _changed(machine, step)
         if np.max(np.abs(step * scale)) < 1e-6:
             break
     else:
-        raise NotIdentifiableError(f"the fit has not converged in {_MAX_ITERATIONS} iterations")
+        raise NotIdentifiableError(_NOT_CONVERGED)
     inverse = (right.T / singular**2) @ right / np.outer(scale, scale)
-    freedom = max(len(errors) - len(scale), 1)
-    return FittedGeometry(machine, inverse, condition, float(np.sqrt(errors @ errors / freedom)))
+    common = inverse @ white.T @ (whitener @ moved * per_pose).reshape(-1, 3) * common_sigmas
+    of_pose = left.reshape(len(pose), 3, -1)
+    shares = of_pose @ np.swapaxes(of_pose, 1, 2)
+    checks = np.linalg.pinv(np.eye(3) - shares, hermitian=True)
+    off = errors.reshape(-1, 3)
+    return FittedGeometry(
+        machine,
+        inverse + common @ common.T,
+        condition,
+        float(errors @ errors),
+        len(errors) - len(scale),
+        np.einsum("ni,nij,nj->n", off, checks, off),
+        np.linalg.eigvalsh(shares)[:, -1],
+    )
 
 
 def _linearised(
@@ -85,7 +111,7 @@ def _linearised(
     direction = np.stack([np.cos(rail), np.sin(rail)], axis=-1)
     turned = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
     lever = machine.rail_points_mm(joints_mm) - poses[:, None, :2]
-    residual = np.einsum("nij,nij->ni", normal, lever) - machine.edge_offset_mm
+    residual = gaps_mm(machine, poses, joints_mm)
     of_leg = np.stack(
         [
             normal[..., 0],

@@ -14,9 +14,6 @@ from numpy.typing import ArrayLike
 
 from altd.records import FloatArray
 
-_PARALLEL = 1e-12
-"""|sin| of the angle between rail and edge below which a joint is undetermined."""
-
 _ROUNDING = 1e-12
 
 
@@ -38,6 +35,12 @@ class PlanarMachine:
     joint_scale: FloatArray = field(default_factory=lambda: np.ones(3))
 
     @property
+    def parameters(self) -> FloatArray:
+        """Array (3, 6), a row per leg: start of the rail (x, y), its direction, scale, edge, its offset."""
+        columns = self.rail_deg, self.joint_scale, self.edge_deg, self.edge_offset_mm
+        return np.column_stack([self.rail_start_mm, *columns])
+
+    @property
     def weights(self) -> FloatArray:
         """Weights w (3,) with Σ w n = 0 for the normals n of the edges; proportional to the sides."""
         second, third = np.roll(self.edge_deg, -1), np.roll(self.edge_deg, -2)
@@ -57,27 +60,6 @@ class PlanarMachine:
             np.radians(self.rail_deg - self.edge_deg - np.asarray(phi_deg, float)[..., None])
         )
         return sines
-
-
-def joints_of(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
-    """Inverse kinematics: the joints (..., 3) in mm of poses (..., 3).
-
-    A joint is NaN where its rail and its edge are parallel. Limits are not applied.
-    """
-    pose = np.asarray(poses, float)
-    sines = machine.crossing_sines(pose[..., 2])
-    safe = np.where(np.abs(sines) < _PARALLEL, np.nan, sines)
-    joints: FloatArray = distances_mm(machine, pose) / (safe * machine.joint_scale)
-    return joints
-
-
-def distances_mm(machine: PlanarMachine, poses: ArrayLike) -> FloatArray:
-    """Distance (..., 3) of each edge from the start of its rail, along the normal, in poses (..., 3)."""
-    pose = np.asarray(poses, float)
-    normals = _normal(np.radians(machine.edge_deg + pose[..., 2, None]))
-    to_start = machine.rail_start_mm - pose[..., None, :2]
-    distances: FloatArray = machine.edge_offset_mm - np.einsum("...ij,...ij->...i", normals, to_start)
-    return distances
 
 
 def poses_of(machine: PlanarMachine, joints_mm: ArrayLike) -> FloatArray:
@@ -106,6 +88,15 @@ def poses_of(machine: PlanarMachine, joints_mm: ArrayLike) -> FloatArray:
     place = np.einsum("...kij,...kj->...ki", rotation, origin)
     phi_deg = 180.0 - np.mod(180.0 - np.degrees(phi), 360.0)
     return np.concatenate([place, phi_deg[..., None]], axis=-1)
+
+
+def gaps_mm(machine: PlanarMachine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:
+    """Distance (..., 3) of each driven point from its edge along the normal, 0 where the machine closes."""
+    pose = np.asarray(poses, float)
+    normals = _normal(np.radians(machine.edge_deg + pose[..., 2, None]))
+    lever = machine.rail_points_mm(joints_mm) - pose[..., None, :2]
+    gaps: FloatArray = np.einsum("...ij,...ij->...i", normals, lever) - machine.edge_offset_mm
+    return gaps
 
 
 def constraint_jacobian(machine: PlanarMachine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:

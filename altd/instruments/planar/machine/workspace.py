@@ -6,20 +6,10 @@ has no width at the φ of its type-1 singularity, so these orientations cut the 
 """
 
 import numpy as np
-import numpy.typing as npt
-from numpy.typing import ArrayLike
 
-from altd.instruments.planar.machine.kinematics import PlanarMachine, joints_of
+from altd.instruments.planar.machine.kinematics import PlanarMachine
 from altd.instruments.planar.machine.singularities import concurrent_line
 from altd.records import FloatArray
-
-
-def contains(machine: PlanarMachine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Whether all joints of poses (..., 3) are within their limits; False for a pose with a parallel leg."""
-    joints = joints_of(machine, poses)
-    with np.errstate(invalid="ignore"):
-        inside = (joints >= machine.limits_mm[:, 0]) & (joints <= machine.limits_mm[:, 1])
-    return np.asarray(inside.all(axis=-1))
 
 
 def slice_mm(machine: PlanarMachine, phi_deg: float) -> FloatArray:
