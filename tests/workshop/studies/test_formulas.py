@@ -18,6 +18,7 @@ from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Limits
 from hw_sim.beam import BeamPose
 from hw_sim.double_triangle import MachineFlaws
+from hw_sim.planar import LEDS_MM
 from studies import budget, chessboard
 from studies.averaging import sliding_mean
 from studies.beam import grown, slanted_poses
@@ -32,6 +33,7 @@ from studies.table_2_1 import driven, error_statistics
 from studies.table_3_1 import STEP_MM, displaced_poses
 from studies.table_3_3 import between_nodes
 from studies.table_3_4 import principal_components
+from studies.two_cameras import Way, calibrated, lenses, measured, pictures, undetermined
 
 
 def test_a_tenth_of_a_millimetre_is_the_thesis_angle() -> None:
@@ -104,6 +106,25 @@ def test_dlt_is_exact_on_exact_points(count: int) -> None:
     source = rng.uniform(-1.0, 1.0, (count, 2))
     found = direct_linear_transform(source, apply_homography(wanted, source))
     assert found / found[2, 2] == pytest.approx(wanted / wanted[2, 2], abs=1e-9)
+
+
+def test_two_cameras_find_poses_and_leds_that_were_not_measured() -> None:
+    """From exact pictures; the lens of the pictures has its middle elsewhere than that of the model."""
+    rng, leds_mm, cameras = np.random.default_rng(3), np.array(LEDS_MM), lenses(1)
+    poses = np.array((0.0, 700.0, 0.0)) + rng.uniform(-1.0, 1.0, (20, 3)) * (45.0, 32.0, 40.0)
+    poses[0] = (0.0, 700.0, 0.0)
+    seen_px = pictures(cameras, leds_mm, poses)
+    model = calibrated(Way("", 2, False, False), seen_px[:, :12], leds_mm, poses[:12])
+    found = measured(model, seen_px[:, 12:])
+    assert np.abs(found - poses[12:]).max() < 0.002
+    assert model.blocks(model.values)[1] == pytest.approx(leds_mm, abs=0.002)
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_pictures_show_neither_placement_nor_length_and_without_turns_no_shape(cameras: int) -> None:
+    """A similarity of the plane and a motion of the plate; without turns any linear map of the plane."""
+    assert undetermined(cameras, turns=True) == 4 + 3
+    assert undetermined(cameras, turns=False) == 6 + 3
 
 
 def test_the_balance_of_misfit_and_covariance_is_the_error_at_the_nodes() -> None:
