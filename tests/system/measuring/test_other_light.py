@@ -156,6 +156,13 @@ def rings(along: Array, across: Array) -> Array:
     return np.exp(-2 * radii**2) * (1 + np.cos(18 * radii)) / 2
 
 
+def test_an_elliptic_spot_is_right_or_refused(calibration: Calibration, unit: Unit) -> None:
+    """Of 13 × 5 mm (App. A.2), while the unit is calibrated with 12 × 11; ``support.spot_forms`` has more."""
+    for beam in random_beams(BEAMS, SEED, radius_mm=(6.5, 2.5)):
+        measurement = measured(calibration, unit, beam, Scene())
+        assert not measurement.valid or is_right(measurement, beam)
+
+
 @pytest.mark.parametrize(
     ("beam", "reasons"),
     [

@@ -11,7 +11,7 @@ from altd.reasons import Reason
 from altd.records import Frame, Spot
 from altd.vision.ellipse import fit_conic
 from altd.vision.flat import Flat
-from altd.vision.localise import locate, locate_ellipse
+from altd.vision.localise import fitted_profile, locate, locate_ellipse
 from altd.vision.settings import SpotSettings
 
 
@@ -52,6 +52,20 @@ def test_on_clean_spots_it_agrees_with_the_profile(order: float, bits: int) -> N
                 pair.append((spot.u_px - second.u_px, spot.v_px - second.v_px))
             apart.append(np.mean(pair, axis=0))
     assert np.sqrt(np.mean(np.square(apart))) < 0.01  # App. A.4
+
+
+@pytest.mark.xfail(
+    strict=True, reason="without a flat the fit takes blocks of 4 × 4 px as points: 1.25 px² wider"
+)
+def test_a_spot_on_a_plain_target_is_as_wide_as_its_light() -> None:
+    """Half a 1/e² diameter is two sigmas: 13 × 5 mm at 0.25 mm/px."""
+    spot = Blob(370.3, 241.6, 52.0, 20.0, 0.3)
+    profile = fitted_profile(frame(200 * light(spot), bits=16, background=800.0), SpotSettings(), None)
+    assert profile is not None
+    assert profile.order == pytest.approx(1.0, abs=0.02)
+    a, b, c = profile.form
+    narrow, wide = np.linalg.eigvalsh(np.linalg.inv([[a, b], [b, c]]))
+    assert (narrow, wide) == pytest.approx(((20 / 4) ** 2, (52 / 4) ** 2), abs=0.5)
 
 
 def test_opencv_fits_about_the_same_ellipse_to_whole_pixels() -> None:
