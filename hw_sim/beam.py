@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from hw_sim.dust import Shadow
+from hw_sim.image import Image
 
 RIM = 0.05
 """Width of the soft rim that diffraction gives to a clipped beam, in half diameters: 0.3 mm of 6 mm."""
@@ -138,14 +138,23 @@ class Laser:
         return float(self.power_mw / area_mm2)
 
 
+class Factor(Protocol):
+    """A factor of a spot's light."""
+
+    def at(self, x_mm: Image, y_mm: Image, /) -> Image:
+        """The factor at points of the plane, any shape."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Footprint:
     """Irradiance of a beam on a plane of constant z, around (x, y).
 
     ``form`` (xx, xy, yy) in 1/mm² gives ρ² = xx·dx² + 2·xy·dx·dy + yy·dy²; it includes the elongation by
     1/cos of an oblique beam, and ``peak_mw_per_mm2`` the corresponding loss by cos. ``shadow`` is the shadow
-    of dust in the beam's path. ``slopes`` are the slopes of the beam. With ``flaws``, ``axes`` (px, py, qx,
-    qy) in 1/mm convert an offset to half diameters along the beam's two axes.
+    of dust in the beam's path, or another factor by place. ``slopes`` are the slopes of the beam. With
+    ``flaws``, ``axes`` (px, py, qx, qy) in 1/mm convert an offset to half diameters along the beam's two
+    axes.
     """
 
     x_mm: float
@@ -153,7 +162,7 @@ class Footprint:
     form: tuple[float, float, float]
     order: float
     peak_mw_per_mm2: float
-    shadow: Shadow | None = None
+    shadow: Factor | None = None
     slopes: tuple[float, float] = (0.0, 0.0)
     flaws: BeamFlaws | None = None
     axes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)

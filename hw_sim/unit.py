@@ -28,11 +28,12 @@ from hw_sim.frame_leds import ALL_LIT, Stray
 from hw_sim.hardness import Hardness
 from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
+from hw_sim.milky import MilkyGlass
 from hw_sim.motion import Drive, Vibration, make_path, make_vibration
 from hw_sim.row.glass import Glass, GlassConfig
 from hw_sim.sensor import NoisePool, Sensor
 from hw_sim.targets import WINDOW_TRANSMISSION, DotPattern
-from hw_sim.view import make_view
+from hw_sim.view import PLATE_REFLECTANCE, make_view
 
 FRONT, REAR = "front", "rear"
 CAMERAS = (FRONT, REAR)
@@ -61,7 +62,8 @@ class UnitConfig:
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration. ``glass_mm`` is the
     thickness of the window's glass behind its print (z = 0), ``glass_index`` its refractive index; the
     camera's view through it belongs to its lens. ``hard`` turns on the effects of ``Hardness``. ``switched``:
-    the front target is an electro-active glass without print, ``Unit.glass``, and opaque at first.
+    the front target is an electro-active glass without print, ``Unit.glass``, and opaque at first. ``milky``:
+    the window is of milky glass without print; its view is that of a plain plate.
     """
 
     seed: int = 1
@@ -85,6 +87,7 @@ class UnitConfig:
     faults: frozenset[Fault] = frozenset()
     hard: Hardness | None = None
     switched: GlassConfig | None = None
+    milky: MilkyGlass | None = None
 
     @property
     def serial(self) -> str:
@@ -125,7 +128,7 @@ class Unit:
             name: partial(
                 make_view,
                 lens,
-                dots if name == FRONT and self.config.dots and self.glass is None else None,
+                dots if name == FRONT and self._has_print else None,
                 self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
                 self.config.hot_pixels,
                 hard=self.config.hard,
@@ -152,6 +155,11 @@ class Unit:
         if self.config.dust:
             self.set_dust(self.config.dust)
         self.inject(*self.config.faults)
+
+    @property
+    def _has_print(self) -> bool:
+        config = self.config
+        return config.dots is not None and config.switched is None and config.milky is None
 
     @property
     def faults(self) -> frozenset[Fault]:
@@ -347,11 +355,11 @@ class Unit:
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
         share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
-        z_mm, aside_mm, glass = 0.0, (0.0, 0.0), self.glass
+        z_mm, aside_mm, glass, milky = 0.0, (0.0, 0.0), self.glass, self.config.milky
         if glass is not None and camera == FRONT:
             share *= glass.brightness(t_ns * 1e-9)
         if camera == REAR:
-            window = (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
+            window = WINDOW_TRANSMISSION * (1.0 if milky else 1.0 - self._pattern.coverage)
             share *= window if glass is None else glass.transmission(t_ns * 1e-9)
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
             aside_mm = glass_shift_mm(pose, self.config.glass_mm, self.config.glass_index)
@@ -361,6 +369,11 @@ class Unit:
         spot = footprint(laser, pose, z_mm, share)
         if aside_mm != (0.0, 0.0):
             spot = replace(spot, x_mm=spot.x_mm + aside_mm[0], y_mm=spot.y_mm + aside_mm[1])
+        if milky is not None and camera == FRONT:
+            spot = replace(spot, peak_mw_per_mm2=WINDOW_TRANSMISSION * spot.peak_mw_per_mm2)
+            return milky.front(spot, PLATE_REFLECTANCE, self.imagers[FRONT].view.lens)
+        if milky is not None:
+            return milky.rear(spot, pose, z_mm)
         if camera == REAR and self._window_dust is not None:
             shift_mm = (pose.slope_x * z_mm + aside_mm[0], pose.slope_y * z_mm + aside_mm[1])
             spot = replace(spot, shadow=Shadow(self._window_dust, shift_mm))

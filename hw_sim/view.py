@@ -53,6 +53,9 @@ ELECTRONS_PER_EXPOSURE = (
 )
 """Electrons per pixel for 1 mW/mm² on a white (Lambertian) target during 1 ms, on the lens axis."""
 
+MAX_REACH_MM = 155.0
+"""Limit of the reach of a spot's light: from any place on a target over all of the picture."""
+
 MW_PER_MM2_PER_LUX = 1e-3 / (683.0 * 0.107)
 """Irradiance of 1 lux of 650 nm light, where the human eye's V(λ) is 0.107."""
 
@@ -168,7 +171,10 @@ class View:
         around = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
         circle = np.stack([np.cos(around), np.sin(around)], axis=1) * math.sqrt(2.0)  # encloses the box
         points = np.concatenate(
-            [np.array([spot.x_mm, spot.y_mm]) + circle * spot.half_box_mm for spot in footprints]
+            [
+                np.array([spot.x_mm, spot.y_mm]) + circle * np.minimum(spot.half_box_mm, MAX_REACH_MM)
+                for spot in footprints
+            ]
         )
         u, v = self.lens.project(points[:, 0], points[:, 1])
         return _within(v, HEIGHT_PX), _within(u, WIDTH_PX)

@@ -24,6 +24,7 @@ STUDIES = {
     "table-2.1": 80,
     "planar-errors": 190,
     "two-cameras": 28,
+    "milky": 145,
     "table-3.1": 224,
     "table-3.2": 28,
     "table-3.3": 52,

@@ -148,8 +148,8 @@ def run(progress: Progress) -> Result:
             "Sec. 3.3.1 and 3.3.3, Table 3.1, Fig. 3.8–3.11 (50 displacements over the whole target)"
         ),
         differs=(
-            "the orthogonal print is an even one; milky glass (Fig. 3.7) is not tried; two finer prints "
-            "are added"
+            "the orthogonal print is an even one; milky glass (Fig. 3.7) has [a study](milky.md) of its own; "
+            "two finer prints are added"
         ),
         columns=(
             Column("displacement σ, mm"),
