@@ -169,7 +169,7 @@ def _distances(on: Bench, base: UnitConfig) -> _Cases:
     cases = {}
     for distance_m, quality in DISTANCES:
         x_mm, y_mm = (grown(diameter_mm, distance_m, quality) for diameter_mm in USUAL_MM)
-        seen = _measured(on, _exposed(base, (x_mm, y_mm)), _poses(base))
+        seen = _measured(on, exposed(base, (x_mm, y_mm)), _poses(base))
         bent = bending(abs(index_per_kelvin(*AIR)), distance_m)
         cases[f"{distance_m:g} m, M² {quality:g}"] = (*seen[:-2], bent.deviation_mm, bent.angle_deg)
     return cases
@@ -181,7 +181,7 @@ def _forms(on: Bench, base: UnitConfig) -> _Cases:
         hard = base.hard or Hardness()
         if flaws:
             hard = replace(hard, beam=replace(hard.beam or BeamFlaws(), **flaws))
-        units[name] = _exposed(replace(base, hard=hard), diameters_mm)
+        units[name] = exposed(replace(base, hard=hard), diameters_mm)
     cases = {name: _measured(on, unit, poses) for name, unit in units.items()}
     for name in list(units)[-2:]:
         on.calibrate(units[name])
@@ -222,7 +222,7 @@ def _poses(base: UnitConfig) -> list[BeamPose]:
     return random_poses(POSES, base.target_distance_mm, np.random.default_rng([SEED, 42]))
 
 
-def _exposed(config: UnitConfig, diameters_mm: tuple[float, float]) -> Unit:
+def exposed(config: UnitConfig, diameters_mm: tuple[float, float]) -> Unit:
     """The unit with a beam of that size, exposed as bright as the usual one."""
     laser = Laser(diameters_mm=diameters_mm)
     unit = Unit(replace(config, laser=laser))

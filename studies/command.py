@@ -38,6 +38,7 @@ STUDIES = {
     "ambient": 64,
     "laser": 87,
     "beam": 318,
+    "beam-forms": 300,
     "filters": 250,
     "chessboard": 59,
     "budget": 35,

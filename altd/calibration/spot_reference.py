@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import cast
 
 import numpy as np
@@ -140,7 +140,7 @@ def spot_reference(
     grains, spots = [], []
     for profile in profiles:
         grains.append(profile.residuals.texture_contrast)
-        spots.append((profile.centre.u_px, profile.centre.v_px, *profile.form, profile.order))
+        spots.append((profile.centre.u_px, profile.centre.v_px, *astuple(profile.shape)))
     grain = float(np.median(grains))
     misfits = [misfit for p in profiles if (misfit := misfit_of(p.residuals, grain)) is not None]
     if len(misfits) < _MIN_SPOTS:

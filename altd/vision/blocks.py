@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,10 +30,12 @@ class Blocks:
 
     rows: FloatArray
     has_moments: bool
+    widening_px2: float = 0.0
+    """Variance that the blocks add to a spot's, px²."""
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Blocks:
         """Return the blocks that the mask ``kept`` selects."""
-        return Blocks(self.rows[:, kept], self.has_moments)
+        return replace(self, rows=self.rows[:, kept])
 
 
 def blocks_of(
@@ -68,7 +70,7 @@ def blocks_of(
     np.multiply(np.maximum(f2, 1e-9), noise.read_counts**2, out=rows[READ_NOISE])
     np.multiply(f3, 1 / noise.electrons_per_count, out=rows[SHOT_NOISE])
     rows[SPOT_TEXTURE] = f4
-    return Blocks(rows, has_moments)
+    return Blocks(rows, has_moments, 0.0 if has_moments else (size**2 - 1) / 12)
 
 
 def _sums(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.reasons import Reason
-from altd.records import FaultCause, Frame, NoSpot, Spot, SpotShape
+from altd.records import FaultCause, Frame, NoSpot, Spot
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch, brightest_region
@@ -155,7 +155,7 @@ def _compared_with_reference(
     ``hidden`` is from ``Flat.hidden``.
     """
     settings = analysis.settings
-    shape = SpotShape(*profile.form, profile.order)
+    shape = profile.shape
     if reference is None and not patch.is_cut:
         return replace(spot, shape=shape)
     misfit = misfit_of(profile.residuals, reference.grain if reference else None)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import FloatArray
+from altd.records import FloatArray, SpotShape
 from altd.statistics import mad_sigma
 from altd.vision.blocks import blocks_of
 from altd.vision.fit import RESIDUAL, FitState, solve
@@ -110,6 +110,22 @@ class Profile:
     order: float
     background_offset: float
     residuals: FitResiduals
+
+    @property
+    def shape(self) -> SpotShape:
+        """The spot's own shape; its ``form`` is as wide as on its blocks.
+
+        What widens a profile adds to its variance, which is Γ(2/order) / Γ(1/order) times the inverse of its
+        form.
+        """
+        a, b, c = self.form
+        added = self.residuals.blocks.widening_px2 * math.gamma(1 / self.order) / math.gamma(2 / self.order)
+        # of a symmetric matrix: (M⁻¹ − w)⁻¹ = (M − w det M) / (1 − w trace M + w² det M)
+        det = a * c - b * b
+        rest = 1 - added * (a + c) + added**2 * det
+        if rest <= 0:  # narrower than a block
+            return SpotShape(a, b, c, self.order)
+        return SpotShape((a - added * det) / rest, b / rest, (c - added * det) / rest, self.order)
 
     @property
     def diameter_px(self) -> float:
