@@ -321,7 +321,7 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
         for target, (u, v) in zip(material.calibration.targets, mean.px, strict=True)
     ]
     check_works = [
-        _call(target.implausible, point, float(u), float(v))
+        _call(target.cross_checked, point, float(u), float(v))
         for mean, found in zip(means, points, strict=True)
         for target, point, (u, v) in zip(material.calibration.targets, found, mean.px, strict=True)
     ]

@@ -62,7 +62,7 @@ def _point(target: TargetCalibration, u_px: float, v_px: float) -> Row:
     point = target.point(u_px, v_px)
     if point is None:
         return {**given, "reason": str(Reason.OUT_OF_RANGE)}
-    if target.implausible(point, u_px, v_px):
+    if isinstance(target.cross_checked(point, u_px, v_px), str):
         return {**given, "reason": str(Reason.IMPLAUSIBLE)}
     sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
     return {

@@ -53,11 +53,11 @@ class CrossCheck:
         beyond_px = max(outside_mm, 0.0) * math.hypot(checked.beyond_px_per_mm, self.map.beyond_px_per_mm)
         return math.hypot(self.limit_px, _LIMIT_SIGMAS * beyond_px)
 
-    def difference_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
-        """Return the distance of (u, v) from this map's image of (x, y), the point by the checked map, px."""
+    def difference_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> tuple[float, float]:
+        """Return (u, v) minus this map's image of (x, y), the point by the checked map, px."""
         u, v, (middle_x, middle_y), (per_x, per_y) = self._plain
         q, r = (x_mm - middle_x) * per_x, (y_mm - middle_y) * per_y
-        return math.hypot(horner(u, q, r) - u_px, horner(v, q, r) - v_px)
+        return u_px - horner(u, q, r), v_px - horner(v, q, r)
 
     @cached_property
     def _plain(self) -> tuple[Rows, Rows, tuple[float, float], tuple[float, float]]:

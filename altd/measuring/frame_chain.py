@@ -185,6 +185,7 @@ class FrameChain(ABC, Generic[Item]):
                 last_exposure_ns=newest_ns,
                 motions=solution.motions,
                 joint=solution.joint,
+                cross_check=solution.cross_check,
             )
         )
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from altd.records import Fault, MeanSpots, Quantities, Value
 from altd.records.joint import Joint
-from altd.records.spots import Motion
+from altd.records.spots import CrossCheckedBeam, Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,13 +17,14 @@ class Solution:
     """Result of an instrument for a window: values by the keys of their quantities.
 
     ``motions`` holds the motion of the values that have a sigma, from this window alone; empty if the window
-    shows none. ``joint`` is the values' joint uncertainty.
+    shows none. ``joint`` is the values' joint uncertainty, ``cross_check`` the beam by the second maps.
     """
 
     values: Mapping[str, Value]
     targets: Mapping[str, Mapping[str, Value] | None]
     motions: Mapping[str, Motion] = field(default_factory=dict)
     joint: Joint | None = field(default=None, compare=False)
+    cross_check: CrossCheckedBeam | None = None
 
     def with_motion_in_sigma(self) -> Solution | None:
         """Return the values with sigmas about the true value at their time, vibration included.

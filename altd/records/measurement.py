@@ -14,7 +14,7 @@ from altd.records.faults import Fault
 from altd.records.frames import FloatArray
 from altd.records.joint import Joint, Linear
 from altd.records.sensors import SensorValue
-from altd.records.spots import Motion
+from altd.records.spots import CrossCheckedBeam, Motion
 
 
 def counted(number: int, thing: str) -> str:
@@ -56,7 +56,7 @@ class Quantities:
     """Quantities that a kind of unit publishes: of the whole unit, and of each of its targets.
 
     ``has_motion``: the instrument estimates their rates. ``joint`` names those whose covariance is published,
-    in its order; roll, of another sensor, is the last.
+    in its order; roll, of another sensor, is the last. ``has_cross_check``: valid measurements have one.
     """
 
     instrument: str
@@ -64,6 +64,7 @@ class Quantities:
     of_target: tuple[Quantity, ...] = ()
     has_motion: bool = False
     joint: tuple[str, ...] = ()
+    has_cross_check: bool = False
 
     @property
     def main(self) -> tuple[Quantity, ...]:
@@ -126,7 +127,7 @@ class Measurement:
     each target of the unit, None if not known. ``last_exposure_ns`` is the time of the window's last
     exposure; None: ``t_ns`` is. ``motions`` contains the motion of the quantities with a sigma, by their
     keys; empty if not known. ``joint`` is the joint uncertainty of ``values``, None if not known;
-    ``linear`` is how others depend on them, by key.
+    ``linear`` is how others depend on them, by key. ``cross_check`` is the result by the second maps.
     ``from_sensors`` contains other sensors' values of quantities, each at its own time. They do not affect
     ``valid`` and remain when the beam is lost.
     """
@@ -144,6 +145,7 @@ class Measurement:
     from_sensors: Mapping[str, SensorValue] = field(default_factory=dict)
     joint: Joint | None = field(default=None, compare=False)
     linear: Mapping[str, Linear] = field(default_factory=dict, compare=False)
+    cross_check: CrossCheckedBeam | None = field(default=None, compare=False)
 
     @property
     def light_ns(self) -> int:
@@ -152,8 +154,10 @@ class Measurement:
 
     def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
         """Return the measurement of the same moment, invalid for these reasons."""
-        targets = dict.fromkeys(self.targets)
-        return replace(self, values={}, targets=targets, status=status, motions={}, joint=None, linear={})
+        none = dict.fromkeys(self.targets)
+        return replace(
+            self, values={}, targets=none, status=status, motions={}, joint=None, linear={}, cross_check=None
+        )
 
     def with_findings(self, *findings: Finding | None) -> Measurement:
         """Return the finished measurement: with all that is found about it; later only its age changes it."""

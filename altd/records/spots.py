@@ -266,3 +266,25 @@ class TargetPoint:
     y_mm: float
     jacobian_mm_per_px: FloatArray
     covariance_mm2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheckedSpot:
+    """Mean spot on a target that was mapped, px, and the beam's place by the target's second map, mm."""
+
+    u_px: float
+    v_px: float
+    x_mm: float
+    y_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheckedBeam:
+    """The beam through its places by the second maps (thesis Fig. A.1), for diagnosis alone.
+
+    The angles are in the controller's coordinates, as the published ones are.
+    """
+
+    yaw_deg: float
+    pitch_deg: float
+    spots: Mapping[str, CrossCheckedSpot]

@@ -16,6 +16,7 @@ from altd.records import FloatArray, Measurement, Quantities, Quantity, Value, u
 from altd.records.sensors import Quality, SensorValue
 from altd.status.answer import Answer
 from altd.status.board import Board
+from altd.status.cross_check import CrossCheckedMeasurement, cross_check_object
 from altd.status.proof import Stamp, sealed
 
 _KNOWN_DECIMALS = 4
@@ -49,7 +50,7 @@ def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, An
     """Return the object as sent by a running unit, ``age_s`` after the middle of the exposures.
 
     Adds ``rates``, per second and with their ``sigma``, and ``sigma_now``: the standard deviation as a
-    statement about the true value at that age. None: not known.
+    statement about the true value at that age, and ``cross_check``. None: not known.
     """
     quantities = [quantity for quantity in measurement.quantities.of_unit if quantity.has_sigma]
     rates = measurement.rates
@@ -69,6 +70,7 @@ def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, An
             **{f"{quantity.key}_per_s": _rate(rates, quantity, "value") for quantity in quantities},
             "sigma": {f"{quantity.key}_per_s": _rate(rates, quantity, "sigma") for quantity in quantities},
         },
+        **cross_check_object(measurement),
     }
 
 
@@ -309,6 +311,8 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         }
     if any(each.point for each in quantities.of_unit):
         more["points"] = (dict[str, Point], Field(description="Points of the machine, by name."))
+    if quantities.has_cross_check:
+        more["cross_check"] = (CrossCheckedMeasurement, ...)
     of_row = place_model(quantities)
     beside: dict[str, Any] = (
         {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}

@@ -12,6 +12,7 @@ from altd.errors import one_line
 from altd.records import Quantities
 from altd.status.answer import Answer
 from altd.status.calibration_summary import CalibratedTarget
+from altd.status.cross_check import CrossCheckedMeasurement
 from altd.status.models import Availability, SelfCheck, Status, TargetArea, Targets, UnitState
 
 _MAX_LISTED = 200
@@ -125,6 +126,7 @@ class ShownBeam:
     age_s: float | None
     numbers: tuple[Shown, ...]
     spots: Mapping[str, tuple[float, float] | None]
+    cross_check: CrossCheckedMeasurement | None
 
 
 class _MeasurementDocument(BaseModel):
@@ -136,6 +138,7 @@ class _MeasurementDocument(BaseModel):
     age_s: float | None
     sigma: dict[str, float | None]
     sigma_now: dict[str, float | None]
+    cross_check: CrossCheckedMeasurement | None = None
 
 
 class _NothingYet(BaseModel):
@@ -177,6 +180,7 @@ def reading_of(document: object, quantities: Quantities) -> ShownBeam | None:
             for key, value in list(given.items())[:_MAX_LISTED]
             if key not in own and isinstance(value, dict) and value.keys() == {"x_mm", "y_mm"}
         },
+        cross_check=measured.cross_check,
     )
 
 

@@ -10,6 +10,7 @@ from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Origin, counted
 from altd.selfcheck.records import DriftLimits
 from altd.status.availability import span_text
+from altd.status.cross_check import CrossCheckedMeasurement
 from altd.status.health import duration
 from altd.status.models import Cause
 from altd.terminal.documents import (
@@ -135,6 +136,24 @@ def _measured(reading: ShownBeam | None) -> Iterator[str]:
     text = ", ".join(filter(None, [verdict_text(reading), said, reading.time]))
     yield from hanging("measuring", text, WIDTH, _INDENT)
     yield from (f"  {number_text(number, reading.valid)}" for number in reading.numbers)
+    if reading.valid and reading.cross_check is not None:
+        yield from _cross_check(reading.cross_check)
+
+
+def _cross_check(by: CrossCheckedMeasurement) -> Iterator[str]:
+    yield ""
+    head = "cross-check"
+    for name, target in by.targets.items():
+        place = f"spot at u {_fixed(target.u_px, 2)} v {_fixed(target.v_px, 2)} px"
+        second = f"x {_fixed(target.x_mm, 3)} y {_fixed(target.y_mm, 3)} mm by the second map"
+        yield from hanging(head, f"{name}: {place}, {second}", WIDTH, _INDENT)
+        head = ""
+    angles = f"yaw {_fixed(by.yaw_deg, 4)} pitch {_fixed(by.pitch_deg, 4)} deg by the second maps"
+    yield from hanging(head, angles, WIDTH, _INDENT)
+
+
+def _fixed(value: float | None, decimals: int) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"
 
 
 def _further(

@@ -18,4 +18,5 @@ def fitted_unit(kind: LensKind, seed: int) -> tuple[TargetFit, np.random.Generat
 def difference_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:
     px = wrong.to_px(points_mm)
     check = fitted.cross_check
-    return np.array([check.difference_px(x, y, u, v) for (x, y), (u, v) in zip(points_mm, px, strict=True)])
+    apart = [check.difference_px(x, y, u, v) for (x, y), (u, v) in zip(points_mm, px, strict=True)]
+    return np.hypot(*np.transpose(apart))

@@ -114,6 +114,14 @@ def measurement(**changes: Any) -> dict[str, Any]:
         "rear": {"x_mm": -36.0, "y_mm": 13.75},
         "sigma_now": {"x_mm": 0.0288, "y_mm": 0.0151, "yaw_deg": 0.00196, "pitch_deg": 0.00161},
         "rates": {"x_mm_per_s": 0.0512, "sigma": {"x_mm_per_s": 0.0031}},
+        "cross_check": {
+            "yaw_deg": 1.1475,
+            "pitch_deg": -1.7169,
+            "targets": {
+                "front": {"u_px": 234.952, "v_px": 350.052, "x_mm": 35.0109, "y_mm": -27.4985},
+                "rear": {"u_px": 231.452, "v_px": 185.052, "x_mm": -35.998, "y_mm": 13.7521},
+            },
+        },
         "unit": "1E4B2D8E",
         "session": "5C1E90A7",
         "message": 4711,

@@ -12,7 +12,7 @@ from altd.ports import Clock, Stop
 from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
 from altd.records.joint import Joint
-from altd.records.spots import Motion
+from altd.records.spots import CrossCheckedBeam, CrossCheckedSpot, Motion
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.proof import Identity, Stamp, unit_number
@@ -55,6 +55,14 @@ MEASURED = Measurement(
         "pitch_deg": _motion(0.0008, 0.0004, 0.0011, 0.0002),
     },
     joint=_joint(),
+    cross_check=CrossCheckedBeam(
+        1.1475,
+        -1.7169,
+        {
+            "front": CrossCheckedSpot(334.952, 220.052, 10.009, 4.983),
+            "rear": CrossCheckedSpot(437.452, 253.652, 15.618, -3.409),
+        },
+    ),
 )
 
 SERIAL = "ALT-0007"

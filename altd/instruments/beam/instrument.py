@@ -35,11 +35,12 @@ from altd.records import (
     Value,
 )
 from altd.records.joint import Joint
-from altd.records.spots import Motion, SpotMotion
+from altd.records.spots import CrossCheckedBeam, CrossCheckedSpot, Motion, SpotMotion
 
 QUANTITIES = Quantities(
     instrument="beam",
     has_motion=True,
+    has_cross_check=True,
     joint=("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m"),
     of_unit=(
         Quantity(
@@ -204,9 +205,10 @@ class BeamInstrument:
     def solve(self, mean: MeanSpots) -> Solution | Fault:
         """Return the beam through the window's mean spots, or the fault that prevents it."""
         warmth = self._warmth
-        points = self._points(mean, 1.0 if warmth is None else warmth.view_growth)
-        if isinstance(points, Fault):
-            return points
+        places = self._places(mean, 1.0 if warmth is None else warmth.view_growth)
+        if isinstance(places, Fault):
+            return places
+        points, checked = places
         targets = [self._calibration[target] for target in mean.targets]
         doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
         if isinstance(doubts_mm, Fault):
@@ -229,18 +231,23 @@ class BeamInstrument:
             return _unexplained(mean, points, doubts_mm, covariance) or unsteady
         if (doubt := range_fault(beam)) is not None:
             return doubt
-        places = zip(mean.targets, points, strict=True)
         published, motions, vibration = installed(beam, self._installation), {}, None
         derivatives = by_line(beam, self._installation)
+        per_slope = None if refraction is None else refraction.displaced_mm(beam.slopes, z_mm)[1]
+        by_mm = derivatives @ line_gain(z_mm, covariance, plane_mm, per_slope)[0]
+        pairs = list(zip(points, checked, strict=True))
+        apart_mm = [d for point, by in pairs for d in (by.x_mm - point.x_mm, by.y_mm - point.y_mm)]
+        *_, yaw_apart_deg, pitch_apart_deg = (by_mm @ apart_mm).tolist()
         if mean.motion is not None:
-            per_slope = None if refraction is None else refraction.displaced_mm(beam.slopes, z_mm)[1]
-            gain, _ = line_gain(z_mm, covariance, plane_mm, per_slope)
-            by_px = derivatives @ gain @ joint_jacobian_mm_per_px(points)
+            by_px = by_mm @ joint_jacobian_mm_per_px(points)
             motions = beam_motions(mean.motion, by_px)
             vibration = by_px @ mean.motion.vibration_px2 @ by_px.T
         return Solution(
             values_of(published),
-            {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
+            {
+                target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)}
+                for target, point in zip(mean.targets, points, strict=True)
+            },
             motions,
             Joint(
                 KEYS,
@@ -248,6 +255,11 @@ class BeamInstrument:
                 derivatives @ beam.line_scatter @ derivatives.T,
                 np.array([1.0, 1.0, *map(_mm_per_m_per_deg, (published.yaw_deg, published.pitch_deg))]),
                 vibration,
+            ),
+            CrossCheckedBeam(
+                published.yaw_deg + yaw_apart_deg,
+                published.pitch_deg + pitch_apart_deg,
+                dict(zip(mean.targets, checked, strict=True)),
             ),
         )
 
@@ -260,19 +272,25 @@ class BeamInstrument:
             self._celsius(), self._calibrated_c, self._stated.temperature_k, self._installation.expansion
         )
 
-    def _points(self, mean: MeanSpots, growth: float) -> list[TargetPoint] | Fault:
-        points = []
+    def _places(
+        self, mean: MeanSpots, growth: float
+    ) -> tuple[list[TargetPoint], list[CrossCheckedSpot]] | Fault:
+        """Return the beam's places on the targets, and the same by the second maps."""
+        points, checked = list[TargetPoint](), list[CrossCheckedSpot]()
         for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
             point = self._calibration[target].point(float(u_px), float(v_px))
             if point is None:
                 detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
                 return Fault(Reason.OUT_OF_RANGE, detail=detail)
-            if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
-                return Fault(Reason.IMPLAUSIBLE, target, doubt)
+            spot = self._calibration[target].cross_checked(point, float(u_px), float(v_px))
+            if isinstance(spot, str):
+                return Fault(Reason.IMPLAUSIBLE, target, spot)
             if growth != 1.0:
                 point = replace(point, x_mm=growth * point.x_mm, y_mm=growth * point.y_mm)
+                spot = replace(spot, x_mm=growth * spot.x_mm, y_mm=growth * spot.y_mm)
             points.append(point)
-        return points
+            checked.append(spot)
+        return points, checked
 
     def _too_uncertain(self, beam: Beam) -> Fault | None:
         """Fault of a beam that scatters more than the required accuracy; calibration limits are ignored."""

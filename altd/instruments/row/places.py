@@ -73,7 +73,7 @@ def place_of(
     if point is None:
         detail = f"{name} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
         return (Fault(Reason.OUT_OF_RANGE, detail=detail),)
-    if why := calibration.implausible(point, u_px, v_px):
+    if isinstance(why := calibration.cross_checked(point, u_px, v_px), str):
         return (Fault(Reason.IMPLAUSIBLE, name, why),)
     shape = mean.shapes[0] if mean.shapes else None
     stretch = None

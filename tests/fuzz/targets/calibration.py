@@ -61,4 +61,4 @@ def check(example: bytes) -> None:
                 assert point.covariance_mm2[0, 0] > 0
                 assert point.covariance_mm2[1, 1] > 0
                 assert np.isfinite(point.jacobian_mm_per_px).all()
-                target.implausible(point, u_px, v_px)
+                target.cross_checked(point, u_px, v_px)

@@ -3,6 +3,7 @@
 import asyncio
 import filecmp
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import AsyncIterator
@@ -93,6 +94,10 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         noted = await checks_noted(events, reports[-1].number)
         await shown.open("unit")
         await section.locator(".events tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
+        checked = shown.page.locator("#cross-check tbody tr")
+        await checked.nth(1).wait_for(timeout=60_000)
+        for target, row in zip(("front", "rear"), await checked.all_inner_texts(), strict=True):
+            assert re.fullmatch(rf"{target}\s\d+\.\d\d, \d+\.\d\d\s−?\d+\.\d{{3}}, −?\d+\.\d{{3}}", row)
         await picture(shown, "page-unit", section)
         events.note(
             EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}

@@ -1,5 +1,6 @@
 """The chain from frames to a measurement: what is measured, mapped, corrected, refused and told."""
 
+import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -8,8 +9,10 @@ import numpy as np
 import pytest
 from support.located import paired
 from support.measurements import beam_of, points_of
-from support.recordings import PX_PER_MM
+from support.played_unit import PlayedUnit
+from support.recordings import PX_PER_MM, place_px
 
+from altd.calibration.file import load_calibration
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
@@ -18,6 +21,7 @@ from altd.measuring.chain import MeasuringChain
 from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.status.measurement_json import as_object_now
 
 from .chains import VIEWS, chain, last, shots
 
@@ -200,6 +204,66 @@ def test_maps_that_contradict_are_implausible(calibration: Calibration, target: 
     assert [str(fault) for fault in measurement.status] == [f"{target}_implausible"]
     assert (beam_of(measurement), set(points_of(measurement).values())) == (None, {None})
     assert " px apart at x " in measurement.status[0].detail
+
+
+def in_picture(
+    axes_mm: list[np.ndarray], spectrum: list[list[float]], place_mm: tuple[float, float]
+) -> float:
+    """Σ s_ij p_i(y) p_j(x); the p are orthonormal on the nodes: Gram and Schmidt's of the powers."""
+    along = []
+    for nodes_mm, mm, count in zip(axes_mm, place_mm, (len(spectrum[0]), len(spectrum)), strict=True):
+        scale = np.abs(nodes_mm).max()
+        powers, own = (np.vander(of / scale, count, increasing=True) for of in (nodes_mm, np.array([mm])))
+        triangle = np.linalg.qr(powers, mode="r")
+        along.append((own @ np.linalg.inv(triangle * np.sign(np.diag(triangle))[:, None]))[0])
+    return float(along[1] @ np.array(spectrum) @ along[0])
+
+
+def test_the_cross_check_has_the_spots_and_the_beam_by_the_second_maps(played_unit: PlayedUnit) -> None:
+    """The second map of the rear target puts each place 0.04 px to the right: 0.01 mm."""
+    calibration = load_calibration(played_unit.calibration)
+    of_file = {
+        of["name"]: of["cross_check"]["map"]
+        for of in json.loads(played_unit.calibration.read_text())["targets"]
+    }
+    axes = {
+        name: [
+            of[axis]["first_mm"] + of[axis]["step_mm"] * np.arange(of[axis]["nodes"])
+            for axis in ("x_axis", "y_axis")
+        ]
+        for name, of in of_file.items()
+    }
+    aside_px = 0.04 * math.sqrt(math.prod(map(len, axes["rear"])))
+    of_file["rear"]["spectrum_u_px"][0][0] += aside_px
+    front, rear = calibration.targets
+    spectra = rear.cross_check.map.spectra.copy()
+    spectra[0, 0, 0] += aside_px
+    check = replace(rear.cross_check, map=replace(rear.cross_check.map, spectra=spectra))
+    measured = chain(
+        replace(calibration, targets=(front, replace(rear, cross_check=check))),
+        sign_yaw=-1,
+        offset_pitch_deg=2.0,
+    )
+    measurement = last(measured, shots([(10.0, 5.0)] * 4))
+    assert measurement.valid
+    beam, places = measurement.cross_check, points_of(measurement)
+    assert beam is not None
+    for name, spot in beam.spots.items():
+        assert (spot.u_px, spot.v_px) == pytest.approx(place_px(name, 10.0, 5.0), abs=0.03)
+        for own_px, spectrum in ((spot.u_px, "spectrum_u_px"), (spot.v_px, "spectrum_v_px")):
+            found_px = in_picture(axes[name], of_file[name][spectrum], (spot.x_mm, spot.y_mm))
+            assert found_px == pytest.approx(own_px, abs=0.001)
+    at_front, at_rear = beam.spots["front"], beam.spots["rear"]
+    assert at_rear.x_mm - places["rear"][0] == pytest.approx(-0.01, abs=0.003)
+    sx, sy = (at_rear.x_mm - at_front.x_mm) / 280.0, (at_rear.y_mm - at_front.y_mm) / 280.0
+    assert beam.yaw_deg == pytest.approx(-math.degrees(math.atan(sx)), abs=1e-7)
+    assert beam.pitch_deg == pytest.approx(2.0 + math.degrees(math.atan(sy)), abs=1e-7)
+    shown = as_object_now(measurement, 0.5)["cross_check"]
+    assert shown["targets"]["rear"]["x_mm"] == round(at_rear.x_mm, 4)
+    nothing = as_object_now(measurement.without_numbers(()), 0.5)["cross_check"]
+    assert (nothing.keys(), nothing["targets"].keys()) == (shown.keys(), shown["targets"].keys())
+    assert nothing["yaw_deg"] is nothing["pitch_deg"] is None
+    assert {value for of in nothing["targets"].values() for value in of.values()} == {None}
 
 
 def test_what_is_known_of_the_step_and_of_a_silent_camera_is_of_now(calibration: Calibration) -> None:

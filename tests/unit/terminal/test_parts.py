@@ -120,6 +120,12 @@ measuring    VALID, 0.50 s old, mean of 20 exposures, number 160,
   yaw        1.1459 deg +/- 0.0011   now 0.0020  =    20.002 mm/m
   pitch     -1.7184 deg +/- 0.0011   now 0.0016  =   -30.001 mm/m
 
+cross-check  front: spot at u 234.95 v 350.05 px, x 35.011 y -27.498 mm by the
+             second map
+             rear: spot at u 231.45 v 185.05 px, x -35.998 y 13.752 mm by the
+             second map
+             yaw 1.1475 pitch -1.7169 deg by the second maps
+
 available    99.99 % of the last hour; 99.99 % of the last day; 99.99 % of the
              last 31 days
 self-check   none: there was no self-check since the unit started

@@ -10,7 +10,7 @@ import { guard } from "./failing.js";
 import { useKept } from "./keeping.js";
 import { Link, NOTHING } from "./link.js";
 import { LENGTH_S, Memory } from "./memory.js";
-import { Parts, Unit } from "./more.js";
+import { CrossCheck, Parts, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
 import { Pictures } from "./pictures.js";
 import { Events, Jump, PastTrends, Recordings, SPANS, secondsOf } from "./past.js";
@@ -56,11 +56,12 @@ function EventsView({ session, mayLook, zone, onSession, ...jump }) {
   return html`<${Events} kept=${kept} mayLook=${mayLook} zone=${zone} ...${jump} /><${Recordings} kept=${kept} session=${session} mayLook=${mayLook} zone=${zone} onSession=${onSession} />`;
 }
 
-function UnitView({ status, session, mayLook, onSession }) {
+function UnitView({ status, measurement, session, mayLook, onSession }) {
   const check = useAnswer("api/v1/self-check", CHECK_MS);
   return html`<${Unit} status=${status} mayLook=${mayLook} />
     <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} session=${session} unavailable=${check?.unavailable} onSession=${onSession} /><//>
     <${Session} session=${session} onChange=${onSession} />
+    <${CrossCheck} check=${measurement?.cross_check} />
     ${status !== null && html`<${Calibration} mayLook=${mayLook} /><${PastChecks} />`}<${Parts} status=${status} />`;
 }
 
@@ -92,7 +93,7 @@ function Page() {
         ${hasEyes && html`<${Eyes} measurement=${measurement} isFar />`}`}
       ${view === "trends" && html`<${Trends} unit=${unit.current} at=${at} setAt=${setAt} zone=${zone} /><${Availability} status=${status} />`}
       ${view === "events" && html`<${EventsView} key=${unit.current} at=${at} setAt=${setAt} zone=${zone} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
-      ${view === "unit" && html`<${UnitView} status=${status} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
+      ${view === "unit" && html`<${UnitView} status=${status} measurement=${measurement} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
     </main>`;
 }
 

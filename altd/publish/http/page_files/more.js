@@ -33,3 +33,14 @@ export function Unit({ status, mayLook }) {
     <p>${mayLook && html`<a href="api/v1/diagnostics" download>Download diagnostics</a>`}${mayLook === false && html`To download diagnostics, <a href="#unit">log in</a> first.`}
       <span class="hint"> Status, events, trend, settings and versions in one archive for remote support.</span></p></section>`;
 }
+
+// Figures for diagnosis: the spots in the pictures, and the beam by the second maps. An instrument without them has no section.
+export function CrossCheck({ check }) {
+  if (!check) return null;
+  const PX = 2, MM = 3, DEG = 4;  // decimals
+  return html`<section aria-labelledby="cross-title"><h2 id="cross-title">Cross-check</h2>
+    <table id="cross-check"><thead><tr><th scope="col">target</th><th scope="col">spot u, v, px</th><th scope="col">x, y by the second map, mm</th></tr></thead>
+    <tbody>${Object.entries(check.targets).map(([name, at]) => html`<tr key=${name}><th scope="row">${name}</th>
+      <td>${fixed(at.u_px, PX)}, ${fixed(at.v_px, PX)}</td><td>${fixed(at.x_mm, MM)}, ${fixed(at.y_mm, MM)}</td></tr>`)}</tbody></table>
+    <p>yaw ${fixed(check.yaw_deg, DEG)}°, pitch ${fixed(check.pitch_deg, DEG)}° by the second maps. <span class="hint">For diagnosis: do not control by these.</span></p></section>`;
+}
