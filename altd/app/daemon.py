@@ -34,6 +34,7 @@ from altd.app.interfaces import Interfaces, interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.level import alignment_of
 from altd.app.maintenance import MaintenanceWatches
+from altd.app.operating_time import OperatingTime, file_in
 from altd.app.parts import (
     AnyCalibration,
     calibration_of_instrument,
@@ -109,6 +110,7 @@ class Daemon:
         self._calibrated = calibration.created.date()
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
+        self._operating_time: OperatingTime | None = None
         if (of := config.inclinometer) is not None:
             component, place = self.health.component("inclinometer"), config.installation
             alignment = alignment_of(of, config.unit.serial)
@@ -181,8 +183,11 @@ class Daemon:
         return SelfChecks(parts, targets, self.unit.self_check, component, self.clock)
 
     def keep_state_in(self, folder: Path) -> None:
-        """Keep persistent data of checks and recordings in this folder. Call before ``run``."""
+        """Keep operating hours and data of checks and recordings in this folder. Call before ``run``."""
         self._state_folder = folder
+        component = self.health.component("operating time")
+        self._operating_time = OperatingTime(file_in(folder, self.config.unit.serial), component)
+        self.unit.operating_hours = self._operating_time.hours
         if self.checks is not None:
             path = folder / f"self-checks-{unit_number(self.config.unit.serial):08X}.json"
             self.checks.memory.keep_in(path, self.health.component("self-check history"))
@@ -203,6 +208,8 @@ class Daemon:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
+                if self._operating_time is not None:
+                    tasks.create_task(self._operating_time.run(), name="operating time")
                 if self._baseline is not None:
                     tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)

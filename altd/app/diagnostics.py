@@ -24,8 +24,9 @@ from pathlib import Path
 
 from altd import __version__
 from altd.app.keeping import FILE_NAME, history_to_read
+from altd.app.operating_time import file_in
 from altd.app.parts import check_files
-from altd.app.settings import SERVICE_SOCKET, load_settings, socket_to_ask
+from altd.app.settings import SERVICE_SOCKET, load_settings, service_folder, socket_to_ask
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.history.history import History
@@ -97,9 +98,11 @@ def diagnose(
     why = "; ".join(filter(None, (why, said)))
     progress(f"{why}: only its files are in the archive")
     made = [*diagnostic_parts(config), *further]
-    if config is not None:
+    if config is not None and place is not None:
         meaning = "file, SHA-256 and date of the calibration"
         made.append(DiagnosticPart("calibration.txt", meaning, partial(_calibration, config)))
+        operated = file_in(service_folder(place), serial)
+        made.append(DiagnosticPart("operating-time.json", "operating time of the unit", operated.read_bytes))
     if with_journal:
         progress("the log of altd is in the archive; to leave it out: --no-journal")
         made.append(DiagnosticPart(JOURNAL, "the newest lines of the service's log", _journal))

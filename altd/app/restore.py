@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, cast
 
 from altd.app.backup import INDEX, MAX_FILE_BYTES, MODE, Entry, Index, Places, check_index
 from altd.app.keeping import FILE_NAME, history_to_read
+from altd.app.operating_time import file_in, has_more
 from altd.app.parts import check_files
 from altd.app.settings import (
     SERVICE_SOCKET,
@@ -67,6 +68,9 @@ def restore(source: Path, settings: Path) -> str:
             raise BadInputError(error.filename or source, error.strerror or str(error)) from error
         _check_content(index, staged, places, source)
         members = sorted(index.files, key=lambda member: member == index.settings)
+        operated = file_in(Path("data"), index.serial)
+        if str(operated) in members and has_more(places.path(str(operated)), staged.path(str(operated))):
+            members.remove(str(operated))  # it is of the housing: a restore does not turn it back
         for member in members:
             target = places.path(member)
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -114,6 +114,8 @@ class Status(UnitFacts):
     availability: Availability | None = None
     zero: SetZero | None = None
     """The zero; null: none was set since the daemon started."""
+    operating_hours: float | None = None
+    """Hours for which the unit has operated over its life; null: not known."""
     components: dict[str, Component]
 
 
@@ -137,7 +139,10 @@ def status_of(view: UnitView) -> Status:
     if (measurement := view.zero.measurement) is not None:
         time = None if measurement.time is None else utc_text(measurement.time)
         zero = SetZero(count=view.zero.count, by=view.zero.by, time=time)
-    return Status.model_validate({**view.facts.known, **state, "zero": zero, "components": components})
+    hours = None if view.operating_hours is None else round(view.operating_hours, 1)
+    return Status.model_validate(
+        {**view.facts.known, **state, "zero": zero, "operating_hours": hours, "components": components}
+    )
 
 
 class TargetDrift(Answer):

@@ -73,6 +73,8 @@ class UnitView:
     """Time of day of ``now_ns``; None: not known."""
     running_ns: int
     """Time since the daemon started."""
+    operating_hours: float | None
+    """Operating hours of the unit over its life; None: not known."""
     identity: Identity
     facts: UnitFacts
     quantities: Quantities
@@ -152,6 +154,8 @@ class PublishedUnit:
         self.diagnostics = diagnostics
         self.self_check = SelfCheckService(self.events)
         self.zero = Zero(self.events)
+        self.operating_hours: Callable[[], float | None] = lambda: None
+        """Returns the unit's operating hours; None: not known."""
         self.recordings = RecordingService("this unit keeps no frames")
         self.pictures = PictureService("this unit shows no pictures")
 
@@ -162,6 +166,7 @@ class PublishedUnit:
             now_ns=now_ns,
             utc=self.clock.utc(now_ns),
             running_ns=board.running_ns(),
+            operating_hours=self.operating_hours(),
             identity=board.identity,
             facts=self.facts,
             quantities=board.quantities,

@@ -161,6 +161,8 @@ def _further(
 ) -> Iterator[str]:
     yield ""
     yield from hanging("available", availability_text(status), WIDTH, _INDENT)
+    hours = status.operating_hours
+    yield from hanging("operated", "not known" if hours is None else f"{hours:.1f} h", WIDTH, _INDENT)
     yield from hanging("self-check", self_check_text(check), WIDTH, _INDENT)
     head = "calibration"
     for target in calibration.targets:

@@ -165,6 +165,7 @@ def status(*causes: dict[str, Any], signal: str = "good", **components: dict[str
         "unit_number": "1E4B2D8E",
         "calibration": "2026-11-02, workshop, stage 2",
         "spot_fit": "compiled",
+        "operating_hours": 812.5,
         "state": {"signal": signal, "number": 0, "for_s": 7384.0, "causes": list(causes)},
         "availability": {
             "last_hour": span,

@@ -84,6 +84,7 @@ class GoldenUnit(OpcUaUnit):
         published.zero = Zero(health.events, 4711)
         published.calibration = CalibrationFigures.model_validate(CALIBRATION)
         published.calibration_files = FILES
+        published.operating_hours = lambda: 812.51
         state = UnitState(self.board, health, self.clock, [lambda _: self.watched])
         published.state, self.availability = state.read, state.availability
         self.observer = StateEvents(health.events, state.read, published.self_check, self.clock)

@@ -7,6 +7,7 @@ import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,12 +77,12 @@ async def test_a_camera_that_moved_is_found_and_nothing_is_valid_until_it_is_bac
         assert codes(await running.measured(valid=True)) == {"simulated", "rehearsal"}
 
 
-def only_file(folder: Path) -> bytes:
-    (file,) = (path for path in folder.iterdir() if path.is_file())
-    return file.read_bytes()
+def kept_in(folder: Path, name: str) -> Any:
+    (file,) = folder.glob(f"{name}-????????.json")
+    return json.loads(file.read_bytes())
 
 
-async def test_the_history_of_checks_outlives_a_restart(
+async def test_the_history_of_checks_and_the_operating_time_outlive_a_restart(
     calibration_of_unit_3: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("altd.acquisition.self_check.memory.SAVE_INTERVAL_S", 0.0)
@@ -91,15 +92,20 @@ async def test_the_history_of_checks_outlives_a_restart(
         running.daemon.keep_state_in(tmp_path)
 
     calibrated = replace(calibration_of_unit_3, created=START)
-    counted = []
+    counted, seconds = [], [0.0]
     for _ in range(2):
         async with driven_led_unit(calibrated, config(), prepare) as running:
             assert (await running.report(1)).check.verdict == "good"
             assert (await running.check()).check.verdict == "good"
-        rear = json.loads(only_file(tmp_path))["targets"]["rear"]
+        rear = kept_in(tmp_path, "self-checks")["targets"]["rear"]
         counted.append(sum(day["checks"] for day in (*rear["days"], rear["today"])))
         assert running.daemon.health.component("self-check history").state == "ok"
+        seconds.append(kept_in(tmp_path, "operating-time")["seconds"])
+        hours = running.daemon.unit.operating_hours()
+        assert hours is not None
+        assert seconds[-1] == pytest.approx(3600 * hours, abs=5.0)
     assert counted == [2, 4]
+    assert seconds == sorted(set(seconds))
 
 
 async def test_a_camera_that_stands_still_during_a_check_is_named(calibration_of_unit_3: Calibration) -> None:

@@ -63,6 +63,14 @@ _UNIT_ROWS = (
     Register(308, "calibration_date", Type.U32, "", "UTC: 2026-11-02 is 20261102", _calibration_date),
     Register(310, "calibration_age", Type.U16, "d", "age of the calibration", _calibration_age_days),
     Register(
+        311,
+        "operating_hours",
+        Type.U16,
+        "h",
+        "operating hours of the unit over its life",
+        lambda view: view.operating_hours,
+    ),
+    Register(
         312,
         "calibration_checksum",
         Type.U32,

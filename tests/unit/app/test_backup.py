@@ -24,7 +24,9 @@ from support.history import batch as batch_of
 from support.played_unit import PlayedUnit
 from support.unit_toml import write_config
 
+from altd.app import operating_time
 from altd.app.backup import back_up
+from altd.app.operating_time import file_in, read_seconds
 from altd.app.restore import BEFORE_RESTORE, restore
 from altd.app.settings import restore_marker
 from altd.credentials import hashes
@@ -76,6 +78,21 @@ def state(settings: Path) -> Mapping[str, tuple[bytes, int]]:
         for path in folder.rglob("*")
         if path.is_file() and not path.name.endswith((".lock", "-wal", "-shm"))
     }
+
+
+@pytest.mark.parametrize(("own_s", "after_s"), [(None, 7200.0), (60.0, 7200.0), (9000.0, 9000.0)])
+def test_a_restore_does_not_turn_the_operating_time_back(
+    settings: Path, tmp_path: Path, own_s: float | None, after_s: float
+) -> None:
+    """A new PC has none, or that since its installation; the same PC has more than its backup."""
+    path = file_in(tmp_path / "data", "TEST-1")
+    operating_time.write_seconds(path, 7200.0)
+    assert back_up(settings, tmp_path / "unit.tar.gz") == []
+    path.unlink()
+    if own_s is not None:
+        operating_time.write_seconds(path, own_s)
+    restore(tmp_path / "unit.tar.gz", settings)
+    assert read_seconds(path) == after_s
 
 
 def test_a_lost_unit_is_as_it_was(settings: Path, archive: Path) -> None:

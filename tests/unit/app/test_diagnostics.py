@@ -19,6 +19,7 @@ from support.played_unit import PlayedUnit
 from altd import __version__
 from altd.app import diagnostics
 from altd.app.diagnostics import diagnose, diagnostic_parts
+from altd.app.operating_time import file_in, write_seconds
 from altd.app.settings import load_settings
 from altd.config import Config
 from altd.status.unit import DiagnosticPart
@@ -61,6 +62,8 @@ def test_a_stopped_unit_has_diagnostics_of_its_files(
     now_s = int(datetime.now(UTC).timestamp())
     kept.write(batch(now_s - 60, (), [event(1, now_s - 60, text="the camera was unplugged")]))
     kept.end(None)
+    write_seconds(file_in(tmp_path, "TEST-1"), 7200.0)
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     fake_journal(tmp_path, monkeypatch, "echo \"$@\"; sleep 0.1; echo 'frame lost'")
     doctor = DiagnosticPart("doctor.txt", "findings", lambda: b"1 error")
     steps: list[str] = []
@@ -70,9 +73,10 @@ def test_a_stopped_unit_has_diagnostics_of_its_files(
     assert "the daemon is not running" in why
     assert why in files["daemon.txt"]
     of_files = {"events.jsonl", "trend.csv"}
-    of_files |= {"doctor.txt", "journal.txt", "calibration.txt"}
+    of_files |= {"doctor.txt", "journal.txt", "calibration.txt", "operating-time.json"}
     assert set(files) == {"README.txt", "daemon.txt", "settings.json", "versions.txt"} | of_files
     assert "--unit=altd" in files["journal.txt"]
+    assert '"seconds": 7200.0' in files["operating-time.json"]
     assert "frame lost" in files["journal.txt"]
     assert "no log" not in files["README.txt"]
     digest = hashlib.sha256(config.unit.calibration.read_bytes()).hexdigest()

@@ -128,6 +128,7 @@ cross-check  front: spot at u 234.95 v 350.05 px, x 35.011 y -27.498 mm by the
 
 available    99.99 % of the last hour; 99.99 % of the last day; 99.99 % of the
              last 31 days
+operated     812.5 h
 self-check   none: there was no self-check since the unit started
 calibration  front: rms 0.021 px, largest residual 0.012 mm, with flat
              rear: largest residual 0.010 mm, without flat

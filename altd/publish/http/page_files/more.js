@@ -25,6 +25,7 @@ export function Unit({ status, mayLook }) {
   const zero = status?.zero, there = local(zero?.time, status?.time_zone);
   const facts = [["serial", status?.serial], ["version", status?.version], ["calibration", status?.calibration],
     ["calibration valid until", status?.calibration_valid_until],
+    ["operating hours", status && (status.operating_hours === null ? "not known" : fixed(status.operating_hours, 1))],
     ["zero", zero ? `${utc(zero.time)} UTC${there ? `, ${there} ${status.time_zone}` : ""}, by ${zero.by}` : status && "not set since the start"]];
   return html`<section aria-labelledby="unit-title"><h2 id="unit-title">Unit</h2>
     <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value ?? "–"}</dd></div>`)}</dl>

@@ -54,6 +54,7 @@ def published(board: Board, health: Health) -> PublishedUnit:
     targets = TargetArea("front", 0.0, (), "left"), TargetArea("rear", 280.0, (), "rear")
     published = PublishedUnit(board, health, facts, targets)
     published.calibration, published.calibration_files = figures_of(CREATED, CHECKSUM), NoFiles()  # type: ignore[arg-type]
+    published.operating_hours = lambda: 812.4
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})
     health.component("camera left").count("lost", 3)
     health.component("camera rear").observe({"exposure_ms": None})
@@ -102,7 +103,7 @@ def test_no_published_address_of_these_blocks_moves() -> None:
     """A contract with controllers."""
     assert {row.name: row.address for row in UNIT_TABLE.rows} == {
         "block_version": 300, "rehearsal": 301, "unit": 302, "session": 304, "uptime": 306,
-        "calibration_date": 308, "calibration_age": 310, "calibration_checksum": 312,
+        "calibration_date": 308, "calibration_age": 310, "operating_hours": 311, "calibration_checksum": 312,
         "config_checksum": 314, "firmware": 316, "serial": 324,
     }  # fmt: skip
     assert {row.name: row.address for row in CONDITION.rows} == {
@@ -122,8 +123,10 @@ async def test_the_unit_says_which_it_is(
     board.publish(measured())
     clock.now_ns += 90_000_000_000
     content = await read(client, 300, 50)
-    found = values(content, 300, {300: "H", 301: "H", 306: "I", 308: "I", 310: "H", 312: "I", 314: "I"})
-    assert found == {300: 1, 301: 0, 306: 90, 308: 20261102, 310: 17, 312: 0x89ABCDEF, 314: 0x01234567}
+    layout = {300: "H", 301: "H", 306: "I", 308: "I", 310: "H", 311: "H", 312: "I", 314: "I"}
+    assert values(content, 300, layout) == {
+        300: 1, 301: 0, 306: 90, 308: 20261102, 310: 17, 311: 812, 312: 0x89ABCDEF, 314: 0x01234567
+    }  # fmt: skip
     assert content[32:48] == b"0.1.0".ljust(16, b"\0")
     assert content[48:80] == b"ALT-0007".ljust(32, b"\0")
     assert values(content, 300, {302: "I", 304: "I"}) == {
