@@ -14,7 +14,8 @@ from altd.config.loading import config_of, read_config
 from altd.config.wording import Fault
 from altd.errors import BadInputError
 from altd.files.table import shown
-from altd.publish.serial.telegram import longest_bytes
+from altd.publish.serial.plate_and_row import sentences_of
+from altd.publish.serial.telegram import SENTENCES, longest_bytes
 from altd.runtime.service_manager import runtime_folder, state_folder
 from altd.serial_port.port import seconds_on_line
 
@@ -101,7 +102,8 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
     for number, port in enumerate(draft.serial):
         if not isinstance(port, TelegramPortSettings):
             continue
-        if (takes_s := telegram_s(port)) > port.interval_s:
+        sentences = sentences_of("beam" if draft.unit is None else draft.unit.instrument, len(draft.targets))
+        if (takes_s := telegram_s(port, sentences)) > port.interval_s:
             least_s = math.ceil(takes_s * 100) / 100
             text = f"{port.interval_s:g} is too short at {port.baud} baud; possible: from {least_s:g}"
             keys = ("baud", "parity", "stop_bits", "rs485", "checked", "identify_every_s")
@@ -109,9 +111,12 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
             yield Fault(("serial", number, "interval_s"), text, about=about)
 
 
-def telegram_s(port: TelegramPortSettings) -> float:
-    """Return the duration of a port's longest telegram on its line, s; a shorter interval is refused."""
-    takes_s = seconds_on_line(port, longest_bytes(port))
+def telegram_s(port: TelegramPortSettings, sentences: int = len(SENTENCES)) -> float:
+    """Return the duration of a port's longest telegram on its line, s; a shorter interval is refused.
+
+    ``sentences`` is the number of those of the measurement.
+    """
+    takes_s = seconds_on_line(port, longest_bytes(port, sentences))
     if port.rs485 is not None:
         takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
     return takes_s

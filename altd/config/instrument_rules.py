@@ -6,6 +6,7 @@ from collections.abc import Iterator, Set
 
 from altd.config.draft import Draft
 from altd.config.drivers import WITH_OUTPUTS
+from altd.config.interfaces import TelegramPortSettings
 from altd.config.places import Keys
 from altd.config.unit import Installation
 from altd.config.wording import Fault
@@ -136,7 +137,7 @@ def planar(draft: Draft) -> Iterator[Fault]:
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:
-    """Check for no automatic exposure, no output "now", no telegram, and none of these tables."""
+    """Check for no automatic exposure, no output "now", no telegram of it, and none of these tables."""
     faults: list[tuple[Keys, str]] = [
         (("cameras", name, "exposure", "control"), '"auto" follows a spot; possible: "fixed", "camera"')
         for name, camera in draft.live().items()
@@ -150,9 +151,9 @@ def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]
         if getattr(draft, key) not in (None, Installation())
     ]
     faults += [
-        (("serial", number, "speaks"), '"telegram" is for a beam; possible: "modbus_rtu", "console"')
+        (("serial", number, "sigma_now"), "true is for a beam; possible: false")
         for number, port in enumerate(draft.serial)
-        if port is not None and port.speaks == "telegram"
+        if isinstance(port, TelegramPortSettings) and port.sigma_now
     ]
     for keys, text in faults:
         yield Fault(keys, text, "key" if len(keys) == 1 else "value", about=(_KIND,))

@@ -285,7 +285,7 @@ class TelegramPortSettings(SerialPortSettings):
     checked: bool = False
     """Send a last sentence for checks (`proof.md`)."""
     sigma_now: bool = False
-    """Send a sentence with `sigma_now`, the uncertainty at sending."""
+    """Send a sentence with `sigma_now` of a beam, the uncertainty at sending."""
     identify_every_s: Annotated[float, Field(ge=1, le=86400)] | None = None
     """Interval of `$PALTI`, s: serial number, versions and date."""
 

@@ -35,6 +35,7 @@ from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.console import Console
+from altd.publish.serial.plate_and_row import sentences_of
 from altd.publish.serial.publisher import TelegramPublisher
 from altd.status.measurement_json import as_object
 from altd.status.state import TICK_S
@@ -47,7 +48,7 @@ from support.cli import altd_here
 from support.golden_cases import Case, GoldenUnit
 from support.modbus_rtu_wire import frame
 from support.mqtt import ChosenBroker, Published
-from support.serving import serving
+from support.serving import lines, serving
 from support.wire import Wire
 from tools.pages.example import NAMEPLATE
 
@@ -126,13 +127,15 @@ def laid() -> Iterator[Wire]:
 
 async def telegram(unit: GoldenUnit, bench: Bench) -> Parts:
     about = replace(NAMEPLATE, unit=unit.identity.unit, serial=unit.serial)
-    checked = {"checked": True, "sigma_now": True, "identify_every_s": 60.0}
-    for name, last, settings in (("plain", b"$PALTQ", {}), ("checked", b"$PALTI", checked)):
+    is_beam = unit.quantities.instrument == "beam"
+    checked = {"checked": True, "sigma_now": is_beam, "identify_every_s": 60.0}
+    plain = sentences_of(unit.quantities.instrument, len(unit.areas))
+    for name, sentences, settings in (("plain", plain, {}), ("checked", plain + 2 + is_beam, checked)):
         with laid() as wire:
             port = TelegramPortSettings(device=wire.device, speaks="telegram", baud=115200, **settings)
             component = unit.health.component(f"serial {name}")
             async with serving(TelegramPublisher(port, unit.board, component, unit.clock, about)):
-                sent = await wire.receive(lambda data, last=last: last in data and data.endswith(b"\r\n"))  # type: ignore[misc]
+                sent = await wire.receive(lines(1 + sentences))
                 yield name, sent.decode("ascii")
 
 

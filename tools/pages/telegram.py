@@ -1,11 +1,16 @@
 """``docs/telegram.md`` from the telegram's definition."""
 
+from dataclasses import replace
 from math import ceil
 from pathlib import Path
 from typing import Any, get_args
 
 from altd.app.settings import telegram_s
 from altd.config import SerialPortSettings, TelegramPortSettings
+from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
+from altd.publish.serial.plate_and_row import PLACE, POSE, POSE_QUALITY, ROUND
+from altd.publish.serial.plate_and_row import encode as telegram_of
 from altd.publish.serial.telegram import (
     IDENTIFICATION,
     MAX_SENTENCE_BYTES,
@@ -16,7 +21,7 @@ from altd.publish.serial.telegram import (
     identification,
 )
 from altd.reasons import Reason
-from altd.records import Measurement
+from altd.records import Fault, Measurement, Value
 from tools.markdown import wrapped
 from tools.pages.example import MEASURED, NAMEPLATE
 from tools.pages.serial_examples import SPOT_LOST
@@ -68,6 +73,21 @@ In `serial` and `firmware` a character that is no printable ASCII or is one of `
 `^` and two hexadecimal digits for each of its bytes in UTF-8. A text longer than its field ends with `~`;
 `unit` still identifies the unit.
 
+## Plates and rows
+
+Sentences and readers on this page are of a beam, except these. Framing, forms and rules are the same, and
+`checked` and `identify_every_s` add the same sentences; `sigma_now` does not exist.
+
+A [plate](planar.md) sends two:
+
+{_framed(telegram_of(_PLATE, OF_PLATE))}
+{chr(10).join(map(sentence_table, (POSE, POSE_QUALITY)))}
+A [row](chain.md) sends one `$PALTR`, and a `$PALTD` for each target. Use a displacement only when the mode of
+its own `$PALTD` is exactly `A`: each place is measured independently, and has no displacement before the
+baseline is complete. Here the second target has no spot:
+
+{_framed(telegram_of(_ROW, _OF_ROW))}
+{chr(10).join(map(sentence_table, (ROUND, PLACE)))}
 ## Interval and requests
 
 `interval_s` is from 0.05 s to 3600 s, and no shorter than the longest telegram takes on the line. The
@@ -183,8 +203,27 @@ def _interval_table() -> str:
     return "\n".join(rows) + "\n"
 
 
+_PLATE = replace(
+    MEASURED,
+    quantities=OF_PLATE,
+    values={"a_mm": Value(12.3456, 0.004), "b_mm": Value(701.25, 0.005), "phi_deg": Value(-14.25, 0.0021)},
+)
+_OF_ROW = quantities_of(["t1", "t2", "t3"])
+_MOVED_MM = {"t1_dx_mm": 0.0, "t1_dy_mm": 0.0, "t3_dx_mm": 1.251, "t3_dy_mm": -0.482}
+_ROW = replace(
+    MEASURED,
+    quantities=_OF_ROW,
+    values={"measured": Value(2.0), **{key: Value(mm, 0.0121) for key, mm in _MOVED_MM.items()}},
+    status=(Fault(Reason.SPOT_MISSING, "t2"), Fault(Reason.BEAM_ANGLE_UNKNOWN)),
+)
+
+
 def _shown(measurement: Measurement | None) -> str:
-    return f"```\n{encode(measurement).decode('ascii')}```\n".replace("\r\n", "\n")
+    return _framed(encode(measurement))
+
+
+def _framed(telegram: bytes) -> str:
+    return f"```\n{telegram.decode('ascii')}```\n".replace("\r\n", "\n")
 
 
 def sentence_table(sentence: Sentence) -> str:

@@ -11,10 +11,10 @@ from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
 from altd.publish.serial.parts_text import Past
+from altd.publish.serial.plate_and_row import encode, places_of, sentences_of
 from altd.publish.serial.telegram import (
     LINE_END,
     Nameplate,
-    encode,
     identification,
     longest_bytes,
     of_now,
@@ -65,7 +65,9 @@ class TelegramPublisher:
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or has disappeared."""
-        settings, limit = self._settings, len(LINE_END) + longest_bytes(self._settings)
+        settings, quantities = self._settings, self._board.quantities
+        sentences = sentences_of(quantities.instrument, len(places_of(quantities)))
+        limit = len(LINE_END) + longest_bytes(settings, sentences)
         interval_ns = round(settings.interval_s * 1e9)
         async with opened(settings, limit, fresh=True) as port:
             ready()
@@ -110,7 +112,7 @@ class TelegramPublisher:
 
     def _send(self, port: Port, lead: bytes, identifies: bool) -> bool:
         measurement, age_s = self._board.read(), self._board.age_s()
-        telegram = encode(measurement)
+        telegram = encode(measurement, self._board.quantities)
         if self._settings.sigma_now:
             telegram += of_now(measurement, age_s)
         if self._settings.checked:

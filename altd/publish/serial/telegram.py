@@ -76,10 +76,10 @@ class Telegram:
             time=None if measurement.time is None else measurement.time.astimezone(UTC).timetz(),
             sequence=measurement.sequence % SEQUENCE_MODULUS,
         )
-        codes = _ordered_codes(measurement)
+        codes = ordered_codes(measurement)
         numbers: dict[str, Any] = {key: measurement.number(key) for key in NUMBERS}
         numbers |= {f"sigma_{key}": measurement.sigma(key) for key in SIGMAS}
-        full = replace(head, mode=_mode(measurement), frames=measurement.frames, **numbers)
+        full = replace(head, mode=mode_of(measurement), frames=measurement.frames, **numbers)
         try:
             return _with_codes(full, codes)
         except TelegramError:
@@ -183,7 +183,8 @@ def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
     return telegram
 
 
-def _mode(measurement: Measurement) -> Mode:
+def mode_of(measurement: Measurement) -> Mode:
+    """Return whether the numbers may be used."""
     if not measurement.valid:
         return Mode.INVALID
     reasons = {fault.reason for fault in measurement.status}
@@ -192,8 +193,8 @@ def _mode(measurement: Measurement) -> Mode:
     return Mode.PLAYBACK if Reason.PLAYBACK in reasons else Mode.LIVE
 
 
-def _ordered_codes(measurement: Measurement) -> tuple[str, ...]:
-    """Reasons of the whole unit, of its targets, then warnings: the last are omitted if room is short."""
+def ordered_codes(measurement: Measurement) -> tuple[str, ...]:
+    """Return reasons of the unit, of its targets, then warnings: the last are omitted if room is short."""
     ordered = sorted(measurement.status, key=lambda f: (f.reason.is_warning, f.target is not None))
     return tuple(dict.fromkeys(str(fault) for fault in ordered))
 
@@ -325,8 +326,8 @@ def identification(nameplate: Nameplate, measurement: Measurement | None) -> byt
     return IDENTIFICATION.encode(replace(nameplate, date=_date(measurement)))
 
 
-def longest_bytes(settings: TelegramPortSettings) -> int:
+def longest_bytes(settings: TelegramPortSettings, of_measurement: int = len(SENTENCES)) -> int:
     """Maximum number of characters of a telegram with the sentences that a port sends."""
-    sentences = len(SENTENCES) + settings.sigma_now + settings.checked
+    sentences = of_measurement + settings.sigma_now + settings.checked
     sentences += settings.identify_every_s is not None
     return MAX_SENTENCE_BYTES * sentences

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from altd.app.settings import settings_of
 from altd.config import Config
 from altd.config.loading import config_of
 from altd.devices.camera_lamps import CameraSwitchesSettings
@@ -88,11 +89,24 @@ def test_only_the_camera_of_a_switched_target_needs_an_output() -> None:
     assert loaded(other + CAMERA).switches is not None
 
 
-def test_a_row_may_have_every_interface_but_the_telegram() -> None:
+def test_a_row_may_have_every_interface() -> None:
     others = '[opcua]\nport = 4841\n[http]\n[modbus_tcp]\n[mqtt]\nhost = "broker"\n'
+    others += '[[serial]]\ndevice = "/dev/ttyS1"\nspeaks = "telegram"\n'
     of_row = loaded(ROW + GPIOD + others)
     assert of_row.opcua is not None
     assert of_row.opcua.port == 4841
+
+
+@pytest.mark.parametrize(("baud", "is_refused"), [(9600, False), (1200, True)])
+def test_the_interval_of_a_row_has_room_for_a_sentence_of_each_target(baud: int, is_refused: bool) -> None:
+    """Three sentences of 82 characters take 2.05 s at 1200 baud, two take 1.37 s."""
+    port = f'[[serial]]\ndevice = "/dev/ttyS1"\nspeaks = "telegram"\nbaud = {baud}\ninterval_s = 1.5\n'
+    content = (ROW + GPIOD + port).encode()
+    if not is_refused:
+        settings_of(content, Path("/etc/altd/altd.toml"))
+        return
+    with pytest.raises(BadInputError, match=r"1.5 is too short at 1200 baud; possible: from 2.05"):
+        settings_of(content, Path("/etc/altd/altd.toml"))
 
 
 FAULTS = (
@@ -137,8 +151,8 @@ FAULTS = (
     (
         ROW + GPIOD,
         "[chain]",
-        '[[serial]]\ndevice = "/dev/ttyS1"\nspeaks = "telegram"\n\n[chain]',
-        'serial.0.speaks: "telegram" is for a beam; possible: "modbus_rtu", "console"',
+        '[[serial]]\ndevice = "/dev/ttyS1"\nspeaks = "telegram"\nsigma_now = true\n\n[chain]',
+        "serial.0.sigma_now: true is for a beam; possible: false",
     ),
     (
         ROW + GPIOD,
