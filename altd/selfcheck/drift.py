@@ -18,7 +18,7 @@ Chosen = npt.NDArray[np.bool_]
 
 _RASTER_PX = 0.003
 """Displacement of an LED's measured position when its alignment to the pixel raster changes: 0.0025 px rms
-over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
+over 144 displaced LEDs of two simulated units."""
 _PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
 """Prior before the pairs are known: positions scatter 1.15 times as much as the frames' noise predicts."""
 _MISFIT_SIGMAS = 4.5

@@ -137,7 +137,7 @@ def flat_now(flat: Flat, transform: Similarity) -> Flat:
     """Return a target's flat as the camera would record it now: print and texture moved with the target.
 
     Spots must be located through it, because the print under them moved with the picture. A flat that is half
-    a pixel off adds more pattern of the print than it removes (docs/selfcheck.md).
+    a pixel off adds more pattern of the print than it removes.
     """
     rows, columns = flat.levels.shape
     levels = cv2.warpAffine(

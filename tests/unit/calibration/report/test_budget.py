@@ -137,7 +137,7 @@ def test_limits_that_are_not_stated_are_named(budget: Budget) -> None:
 
 
 def test_glass_that_is_stated_has_two_terms() -> None:
-    """Each is largest at the largest slopes, 0.0017° and 0.0009° (docs/refraction.md), and 0 without one."""
+    """Each is largest at the largest slopes, 0.0017° and 0.0009°, and 0 without one."""
     front, rear = calibration().targets
     with_glass = replace(calibration(), targets=(replace(front, glass=Glass(4.0)), rear))
     made = budget_of(with_glass, EVIDENCE)
