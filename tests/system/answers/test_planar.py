@@ -295,8 +295,8 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
         ("[measuring]", "[[targets]]\nname = 'a'\nz_mm = 0\ncamera = 'plate'\n[measuring]", "has no targets"),
         (
             "[measuring]",
-            "[[serial]]\ndevice = '/dev/ttyS9'\nspeaks = 'telegram'\n[measuring]",
-            "serial.0.speaks",
+            "[[serial]]\ndevice = '/dev/ttyS9'\nspeaks = 'telegram'\nsigma_now = true\n[measuring]",
+            "serial.0.sigma_now: true is for a beam; possible: false",
         ),
         ("[measuring]", "[installation]\nsign_x = -1\n[measuring]", "installation: is for a beam"),
         (

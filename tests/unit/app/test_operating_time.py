@@ -39,7 +39,8 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def clock() -> FakeClock:
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    monkeypatch.setattr("altd.app.operating_time._DISK_TIMEOUT_S", 60.0)  # the disk of a busy computer
     clock = NoTimeOfDay(5 * 10**12)
     clock.watch_devices()
     return clock
