@@ -67,7 +67,7 @@ _INSIDE: Sequence[_Part] = (
     (SynchronyCheck, "inspect", "motion in step"),
     (FrameSetWindow, "add", f"averaging over {WINDOW}"),
     (TargetCalibration, "point", "mapping, one point"),
-    (TargetCalibration, "implausible", "cross-check, one point"),
+    (TargetCalibration, "cross_checked", "cross-check, one point"),
     (instrument_room, "joint_covariance_mm2", "beam fit"),
     (instrument_room, "fit_beam", "beam fit"),
     (BeamInstrument, "solve", "solution, all else"),
