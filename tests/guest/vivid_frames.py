@@ -73,7 +73,7 @@ def through_loopback() -> list[int]:
         os.write(feeding.descriptor, picture)
         with contextlib.suppress(CameraTimeoutError):
             while True:
-                frames.append(one.next_frame(0.1))
+                frames.append(one.next_frame(0.5))
     one.close()
     feeding.close()
     np.save("MJPG.npy", np.array([frame.pixels for frame in frames]))
@@ -94,7 +94,7 @@ def dropped() -> list[int]:
 
 
 def damaged() -> list[int]:
-    one = camera(DEVICE)
+    one = camera(DEVICE, width=320, height=180, fps=10)  # few pixels: a busy computer loses none
     one.open()
     found = sequences(one, 5)
     v4l2_ctl(DEVICE, "-c", "inject_v4l2_buf_flag_error=1")

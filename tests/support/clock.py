@@ -21,6 +21,8 @@ from altd.runtime.threads import DeviceThread
 
 Result = TypeVar("Result")
 START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
+_STEPS = 10
+"""Turns of the loop within which a task that is woken waits again, or has begun a call."""
 
 
 class FakeClock:
@@ -132,10 +134,13 @@ class FakeClock:
 
     async def settle(self) -> None:
         """Let every task run until it waits, and every thread until it waits for this clock."""
-        await settle()
-        while self._calls or not self._has_threads_waiting:
-            time.sleep(0.0002)  # noqa: ASYNC251  it gives way to the threads
-            await settle()
+        still = 0
+        while still < _STEPS:  # after a thread's last outcome: its caller may go on to the next call
+            await asyncio.sleep(0)
+            still += 1
+            if self._calls or not self._has_threads_waiting:
+                time.sleep(0.0002)  # noqa: ASYNC251  it gives way to the threads
+                still = 0
         while not self._arrived.empty():
             due_ns, woken = self._arrived.get()
             self._call(due_ns, partial(self._wake, woken))
@@ -232,5 +237,5 @@ async def stop(task: asyncio.Task[None]) -> None:
 
 async def settle() -> None:
     """Let every task run until it waits."""
-    for _ in range(10):
+    for _ in range(_STEPS):
         await asyncio.sleep(0)
