@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from altd.app.settings import service_folder
 from altd.config import Config, RowSettings
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of, line_of, parse_json
+from altd.files.documents import checksummed, parse_checksummed
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.instruments.row.displacement import BaselineMeans
@@ -78,7 +78,7 @@ class BaselineFile:
         if not os.path.lexists(self.path):
             return None
         try:
-            return self._means(parse_json(read_file(self.path, _MAX_BYTES)))
+            return self._means(parse_checksummed(read_file(self.path, _MAX_BYTES), _FORMAT))
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"]))
@@ -100,18 +100,13 @@ class BaselineFile:
                 for name, of in means.stable.items()
             },
         }
-        document["checksum"] = checksum_of(document)
-        write_file(self.path, (line_of(document) + "\n").encode())
+        write_file(self.path, checksummed(document))
 
     @property
     def _checksum(self) -> str:
         return "" if self.calibration.file is None else self.calibration.file.checksum
 
-    def _means(self, document: Any) -> BaselineMeans:
-        if not isinstance(document, dict) or document.get("format") != _FORMAT:
-            raise ValueError(f"is no {_FORMAT}")
-        if document.pop("checksum", None) != checksum_of(document):
-            raise ValueError("checksum does not match: the file is damaged or was edited")
+    def _means(self, document: dict[str, Any]) -> BaselineMeans:
         del document["format"]
         content = _Content.model_validate(document)
         if content.unit != self.calibration.unit_serial:

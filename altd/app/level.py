@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -16,7 +16,7 @@ from altd.acquisition.inclination.judging import InclinationJudge
 from altd.config import InclinometerSettings
 from altd.devices.inclinometer import SensorSettings
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of, line_of, parse_json
+from altd.files.documents import checksummed, parse_checksummed
 from altd.files.reading import check_rights, read_file
 from altd.files.table import Celsius, Table
 from altd.files.writing import write_file
@@ -87,12 +87,7 @@ def alignment_of(settings: InclinometerSettings, unit: str) -> Alignment | None:
         return None
     check_rights(path)
     try:
-        document = parse_json(read_file(path, _MAX_BYTES))
-        if not isinstance(document, dict) or document.get("format") != _FORMAT:
-            raise ValueError(f"is no {_FORMAT}")
-        if document.pop("checksum", None) != checksum_of(document):
-            raise ValueError("checksum does not match: the file is damaged or was edited")
-        content = LevelDocument.model_validate(document)
+        content = LevelDocument.model_validate(parse_checksummed(read_file(path, _MAX_BYTES), _FORMAT))
         for what, there, here in (
             ("unit", content.unit, unit),
             ("sensor", content.sensor, settings.type_name),
@@ -154,9 +149,7 @@ def take_level(  # noqa: PLR0913  a sensor, its positions, and a guide
 
 def save_level(document: LevelDocument, path: Path) -> None:
     """Write the file completely or not at all; raises BadInputError."""
-    content: dict[str, Any] = document.model_dump(mode="json") | {"made": utc_text(document.made)}
-    content["checksum"] = checksum_of(content)
-    write_file(path, (line_of(content) + "\n").encode())
+    write_file(path, checksummed(document.model_dump(mode="json") | {"made": utc_text(document.made)}))
 
 
 def report(alignment: Alignment) -> Iterator[str]:

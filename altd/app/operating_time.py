@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import os
@@ -10,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of, parse_json
+from altd.files.documents import checksummed, parse_checksummed
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.runtime.threads import DeviceThread
@@ -36,12 +35,7 @@ def read_seconds(path: Path) -> float:
     if path.parent.is_dir() and not os.path.lexists(path):
         return 0.0
     try:
-        document = parse_json(read_file(path, _MAX_BYTES))
-        if not isinstance(document, dict) or document.get("format") != _FORMAT:
-            raise ValueError(f"is no {_FORMAT}")
-        if document.pop("checksum", None) != checksum_of(document):
-            raise ValueError("checksum does not match: the file is damaged or was edited")
-        seconds = document.get("seconds")
+        seconds = parse_checksummed(read_file(path, _MAX_BYTES), _FORMAT).get("seconds")
         if not isinstance(seconds, float) or not 0.0 <= seconds < math.inf:
             raise ValueError("seconds: must be a number from 0.0")
         return seconds
@@ -58,8 +52,7 @@ def has_more(path: Path, than: Path) -> bool:
 
 def write_seconds(path: Path, seconds: float) -> None:
     """Write the operating time, unless the file has more; raises BadInputError."""
-    document: dict[str, object] = {"format": _FORMAT, "seconds": max(round(seconds, 1), read_seconds(path))}
-    write_file(path, (json.dumps(document | {"checksum": checksum_of(document)}) + "\n").encode())
+    write_file(path, checksummed({"format": _FORMAT, "seconds": max(round(seconds, 1), read_seconds(path))}))
 
 
 class OperatingTime:

@@ -47,6 +47,21 @@ def checksum_of(document: Mapping[str, object]) -> str:
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
 
 
+def checksummed(document: Mapping[str, object]) -> bytes:
+    """Return the content of a file: a document with its checksum, as one line; NaN raises ValueError."""
+    return (line_of({**document, "checksum": checksum_of(document)}) + "\n").encode()
+
+
+def parse_checksummed(content: bytes, expected_format: str) -> dict[str, Any]:
+    """Return the document of ``checksummed``; raises ValueError that states the fault."""
+    document = parse_json(content)
+    if not isinstance(document, dict) or document.get("format") != expected_format:
+        raise ValueError(f"is no {expected_format}")
+    if document.pop("checksum", None) != checksum_of(document):
+        raise ValueError("checksum does not match: the file is damaged or was edited")
+    return document
+
+
 class TomlError(ValueError):
     """The text is not TOML, or TOML itself forbids it.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of, parse_json
+from altd.files.documents import checksum_of, checksummed, parse_checksummed
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration
@@ -54,12 +53,7 @@ class HistoryFile:
         if not os.path.lexists(self.path):
             return CheckHistory.empty()
         try:
-            document = parse_json(read_file(self.path, _MAX_BYTES))
-            if not isinstance(document, dict) or document.get("format") != FORMAT:
-                raise ValueError(f"is no {FORMAT}")
-            checksum = document.pop("checksum", None)
-            if checksum != checksum_of(document):
-                raise ValueError("checksum does not match: the file is damaged or was edited")
+            document = parse_checksummed(read_file(self.path, _MAX_BYTES), FORMAT)
             del document["format"]
             if document.pop("references", None) != _references_of(self.calibration):
                 return CheckHistory.empty()
@@ -70,9 +64,9 @@ class HistoryFile:
     def save(self, history: CheckHistory) -> None:
         """Write the file completely or not at all; raises BadInputError."""
         references = _references_of(self.calibration)
-        document = {"format": FORMAT, "references": references, **document_of(history)}
-        document["checksum"] = checksum_of(document)
-        write_file(self.path, (json.dumps(document, allow_nan=False) + "\n").encode())
+        write_file(
+            self.path, checksummed({"format": FORMAT, "references": references, **document_of(history)})
+        )
 
 
 def _references_of(calibration: Calibration) -> str:
