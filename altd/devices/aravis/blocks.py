@@ -25,6 +25,7 @@ _RESEND_INTERVAL_NS = 25_000_000
 _MAX_RESENDS = 3
 _MAX_RESEND_RANGES = 16
 _MAX_LEADERS_KEPT = 16
+_REMEDY = "switch chunks, compression and multi-part off with the maker's tool"
 _MAX_STANDARD_ID = 65535
 _MAX_EXTENDED_ID = 2**64 - 1
 
@@ -62,14 +63,16 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Source and id format of frames, from the first leader, and thus the contents of each packet.
+    """Source, id format and payload type of frames, from the first leader, and thus each packet's contents.
 
-    ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to
-    ``max_packets`` may arrive.
+    ``needed`` payload packets hold the ``needed_bytes`` of the image and, in a chunk, of the end of that; the
+    last of them holds ``last_data_bytes``. Up to ``max_packets`` may arrive.
     """
 
     port: int
     extended: bool
+    payload_type: int
+    needed_bytes: int
     data_bytes: int
     needed: int
     last_data_bytes: int
@@ -161,8 +164,13 @@ class Assembler:
             self._last_whole = block
             if self.quarantined(now_ns):
                 yield Block(self.last_contradiction, block.id)
+            elif fault := self._chunk_fault(block):
+                self.refused += 1
+                self.last_refusal = fault
+                yield Block(fault, block.id)
             else:
-                yield Block("", block.id, block.device_ns, block.arrived_ns, block.pixels)
+                image = block.pixels[: self._format.image_bytes]
+                yield Block("", block.id, block.device_ns, block.arrived_ns, image)
 
     def resend_commands(self, now_ns: int) -> Iterator[bytes]:
         """Yield requests for packets that a block has lacked for some time; at most three times a block."""
@@ -189,8 +197,10 @@ class Assembler:
         form = self._format
         if leader is None or header.packet_id != 0:
             self.refused += 1
+            kind = gvsp.payload_type(body)
+            self.last_refusal = f"sends payload type {kind:#06x}, which announces no image: {_REMEDY}"
             return
-        if leader[1:] != (form.pixel_format, form.width, form.height, 0, 0):
+        if leader[2:] != (form.pixel_format, form.width, form.height, 0, 0):
             self.refused += 1
             self.last_refusal = (
                 f"sends {leader.width} x {leader.height} in format {leader.pixel_format:#x}, "
@@ -199,9 +209,13 @@ class Assembler:
             return
         layout = self._layout
         if layout is None:
-            layout = self._layout = _layout(form, port, header.extended)
-        elif (port, header.extended) != (layout.port, layout.extended):
-            self._contradict("frames come from two ports", now_ns)
+            layout = self._layout = _layout(form, port, header.extended, leader.payload_type)
+        elif (port, header.extended, leader.payload_type) != (
+            layout.port,
+            layout.extended,
+            layout.payload_type,
+        ):
+            self._contradict("frames come from two ports, or have two forms", now_ns)
             return
         content = bytes(body)
         known = next((other for block_id, other in self._leaders if block_id == header.block_id), None)
@@ -222,7 +236,7 @@ class Assembler:
                 arrived_ns=now_ns,
                 last_ns=now_ns,
                 missing=layout.needed + 1,
-                pixels=memoryview(bytearray(form.image_bytes)),
+                pixels=memoryview(bytearray(layout.needed_bytes)),
                 have=bytearray(layout.needed + 2),
             )
 
@@ -257,14 +271,28 @@ class Assembler:
     ) -> None:
         layout = block.layout
         fits = layout.needed < packet_id <= layout.max_packets + 1
-        if not fits or not gvsp.is_trailer(body):
+        if not fits or not gvsp.is_trailer(body, layout.payload_type):
             self.refused += 1
+            self.last_refusal = (
+                f"ends a frame of payload type {layout.payload_type:#06x} with a trailer of another type, "
+                f"or not between packets {layout.needed + 1} and {layout.max_packets + 1}"
+            )
         elif port != layout.port:
             self._contradict("a frame's packets come from two ports", now_ns)
         elif not block.have[-1]:
             block.have[-1] = 1
             block.missing -= 1
             block.last_ns = now_ns
+
+    def _chunk_fault(self, block: _OpenBlock) -> str:
+        """Describe why the image cannot be the first chunk of a whole block; empty if it can."""
+        layout, image_bytes = block.layout, self._format.image_bytes
+        if layout.payload_type == gvsp.IMAGE:
+            return ""
+        stated = gvsp.chunk_bytes(block.pixels)
+        if stated >= image_bytes and gvsp.bytes_to_end_of_chunk(stated) == layout.needed_bytes:
+            return ""
+        return f"its chunks do not begin with an image of {image_bytes} bytes: {_REMEDY}"
 
     def _contradict(self, what: str, now_ns: int) -> None:
         """Discard all earlier packets; the sender of the next packet is taken for the camera."""
@@ -276,12 +304,20 @@ class Assembler:
         self._layout = self._last_whole = None
 
 
-def _layout(form: StreamFormat, port: int, extended: bool) -> _Layout:
+def _layout(form: StreamFormat, port: int, extended: bool, payload_type: int) -> _Layout:
+    is_plain = payload_type == gvsp.IMAGE
+    needed_bytes = form.image_bytes if is_plain else gvsp.bytes_to_end_of_chunk(form.image_bytes)
     data_bytes = gvsp.data_bytes(form.packet_bytes, extended)
-    needed = -(-form.image_bytes // data_bytes)
-    max_packets = max(needed, -(-form.payload_bytes // data_bytes))
+    needed = -(-needed_bytes // data_bytes)
     return _Layout(
-        port, extended, data_bytes, needed, form.image_bytes - (needed - 1) * data_bytes, max_packets
+        port,
+        extended,
+        payload_type,
+        needed_bytes,
+        data_bytes,
+        needed,
+        last_data_bytes=needed_bytes - (needed - 1) * data_bytes,
+        max_packets=max(needed, -(-form.payload_bytes // data_bytes)),
     )
 
 

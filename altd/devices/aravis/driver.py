@@ -230,11 +230,10 @@ class AravisCamera:
             raise CameraLostError("the camera has restarted, or dropped us")
         elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
-        elif (
-            self._settings.trigger != "line"
-            and now_ns - self._answering_since_ns > _FRAMELESS_TIMEOUT_S * 1e9
-        ):
+        elif now_ns - self._answering_since_ns > _FRAMELESS_TIMEOUT_S * 1e9:
             remark = opened.stream.remark
+            if self._settings.trigger == "line" and (self._clock.known or not remark):
+                return  # a signal may pause; frames of which none was ever right are said
             raise CameraLostError(
                 f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
             )

@@ -4,7 +4,8 @@ A block is a frame: a leader with packet id 0, payload packets from 1 on, a trai
 big-endian. Ids have 16 (block) and 24 bits (packet) or, with a flag in the header, 64 and 32 bits. Nothing
 here checks a number: the caller must check that a packet id is in the expected range.
 
-Source: the GigE Vision standard, version 2.0: GVSP's headers, image leader and trailer; GVCP's PACKETRESEND.
+Source: the GigE Vision standard, version 2.0: GVSP's headers, leaders and trailers of images and of extended
+chunk data, the layout of a chunk; GVCP's PACKETRESEND.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ _TRAILER = struct.Struct(">HHI")
 _RESEND_COMMAND = struct.Struct(">BBHHH")
 _EXTENDED = 0x80000000
 _SUCCESS, _RESENT = 0x0000, 0x0100
-_IMAGE = 0x0001
+IMAGE = 0x0001
+_EXTENDED_CHUNKS, _IMAGE_WITH_CHUNKS = 0x0005, 0x4001
+_CHUNK_ALIGNMENT_BYTES, _CHUNK_END_BYTES = 4, 8
 _KEY, _RESEND, _FLAG_EXTENDED = 0x42, 0x0040, 0x10
 
 
@@ -41,8 +44,12 @@ class Header(NamedTuple):
 
 
 class Leader(NamedTuple):
-    """Image announced by a leader. ``timestamp`` is in the camera's own ticks."""
+    """Image announced by a leader. ``timestamp`` is in the camera's own ticks.
 
+    ``payload_type`` other than ``IMAGE``: chunks, of which the image is the first.
+    """
+
+    payload_type: int
     timestamp: int
     pixel_format: int
     width: int
@@ -67,17 +74,32 @@ def read_header(packet: memoryview) -> Header | None:
     return Header(block_id, packet_format, packet_id, extended, size) if block_id else None
 
 
+def payload_type(body: memoryview) -> int:
+    """Payload type in ``body``, the bytes after the header of a leader or trailer; 0: too short."""
+    return int.from_bytes(body[2:4], "big")
+
+
 def read_leader(body: memoryview) -> Leader | None:
-    """Leader in ``body``, the bytes after the header; None if it announces no plain image."""
-    if len(body) < _LEADER.size:
+    """Leader in ``body``, the bytes after the header; None if it announces no image."""
+    if payload_type(body) not in (IMAGE, _EXTENDED_CHUNKS, _IMAGE_WITH_CHUNKS) or len(body) < _LEADER.size:
         return None
-    _, payload_type, timestamp, pixel_format, width, height, _, _, pad_x, pad_y = _LEADER.unpack_from(body)
-    return Leader(timestamp, pixel_format, width, height, pad_x, pad_y) if payload_type == _IMAGE else None
+    _, kind, timestamp, pixel_format, width, height, _, _, pad_x, pad_y = _LEADER.unpack_from(body)
+    return Leader(kind, timestamp, pixel_format, width, height, pad_x, pad_y)
 
 
-def is_trailer(body: memoryview) -> bool:
-    """Whether this ends a plain image. Its number of lines is ignored: Aravis' cameras leave it 0."""
-    return len(body) >= _TRAILER.size and _TRAILER.unpack_from(body)[1] == _IMAGE
+def is_trailer(body: memoryview, of_type: int) -> bool:
+    """Whether this ends a payload of a type. The lengths in it are ignored: Aravis' cameras leave them 0."""
+    return len(body) >= _TRAILER.size and payload_type(body) == of_type
+
+
+def bytes_to_end_of_chunk(image_bytes: int) -> int:
+    """Size of an image as the first chunk: filled up to four bytes, then its id and its length."""
+    return image_bytes + -image_bytes % _CHUNK_ALIGNMENT_BYTES + _CHUNK_END_BYTES
+
+
+def chunk_bytes(chunk: memoryview) -> int:
+    """Length that the end of a chunk states, without id and length."""
+    return int.from_bytes(chunk[-4:], "big")
 
 
 def data_bytes(packet_bytes: int, extended: bool) -> int:

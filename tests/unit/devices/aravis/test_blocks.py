@@ -19,7 +19,13 @@ MS = 1_000_000
 PERIOD_NS = 50 * MS
 MAX_OPEN = 6
 BODIES = st.binary(max_size=110) | st.sampled_from(
-    [gvsp.leader(WIDTH, HEIGHT, 3000), gvsp.trailer(HEIGHT), bytes(100), bytes(88)]
+    [
+        gvsp.leader(WIDTH, HEIGHT, 3000),
+        gvsp.leader(WIDTH, HEIGHT, 3000, payload_type=gvsp.IMAGE_WITH_CHUNKS),
+        gvsp.trailer(HEIGHT),
+        bytes(100),
+        bytes(88),
+    ]
 )
 KINDS = st.integers(0, 127) | st.integers(1, 3)
 STATUS = st.sampled_from([0, 0, 0x0100, 0x800C])
@@ -172,11 +178,80 @@ class TestNumbers:
         assert [shows(block, 2) for block in rig.feed(packets)] == [True]
 
 
+INFORMATION = gvsp.chunk(0x1234, b"line status") + gvsp.chunk(0x77, bytes(8))
+
+
+class TestChunks:
+    """Of cameras that ignore ``ChunkModeActive = false``."""
+
+    @staticmethod
+    def packets(number: int, chunks: bytes, kind: int = gvsp.IMAGE_WITH_CHUNKS) -> list[bytes]:
+        return gvsp.frame(number, chunks, WIDTH, PACKET_BYTES, 1000 * number, False, kind, HEIGHT)
+
+    @pytest.mark.parametrize("kind", [gvsp.IMAGE_WITH_CHUNKS, gvsp.EXTENDED_CHUNKS])
+    def test_behind_the_image_do_not_matter(self, kind: int) -> None:
+        rig = Rig(payload_bytes=WIDTH * HEIGHT + 8 + len(INFORMATION))
+        for number in (1, 2):
+            packets = self.packets(number, gvsp.chunk(1, image(number)) + INFORMATION, kind)
+            assert [shows(block, number) for block in rig.feed(packets)] == [True]
+        assert (rig.assembler.refused, rig.assembler.contradictions) == (0, 0)
+
+    def test_of_an_image_that_is_filled_up_to_four_bytes_do_not_matter(self) -> None:
+        size = 37 * 3
+        form = StreamFormat(37, 3, gvsp.MONO8, size, 200, PACKET_BYTES, 1_000_000_000)
+        rig = Rig()
+        rig.assembler = Assembler(form, max_open=MAX_OPEN, resend=False)
+        chunks = gvsp.chunk(1, image(1)[:size]) + INFORMATION
+        (block,) = rig.feed(
+            gvsp.frame(1, chunks, 37, PACKET_BYTES, payload_type=gvsp.IMAGE_WITH_CHUNKS, lines=3)
+        )
+        assert bytes(block.data or b"") == image(1)[:size]
+
+    @pytest.mark.parametrize(
+        "chunks",
+        [
+            gvsp.chunk(1, image(1)[:-WIDTH]) + INFORMATION + bytes(WIDTH),
+            INFORMATION + gvsp.chunk(1, image(1)),
+            gvsp.chunk(1, image(1), stated_bytes=2**32 - 1) + INFORMATION,
+            gvsp.chunk(1, image(1), stated_bytes=0) + INFORMATION,
+            image(1) + bytes(len(INFORMATION) + 8),
+        ],
+        ids=["a row less", "image behind", "longer than the payload", "of no length", "no chunks"],
+    )
+    def test_that_do_not_begin_with_the_image_are_refused_by_name(self, chunks: bytes) -> None:
+        rig = Rig(payload_bytes=len(chunks))
+        (block,) = rig.feed(self.packets(1, chunks))
+        assert block.data is None
+        assert "its chunks do not begin with an image of 1200 bytes: switch chunks" in block.fault
+        assert rig.assembler.last_refusal == block.fault
+
+    def test_that_end_with_another_payload_type_or_too_late_give_no_frame(self) -> None:
+        chunks = gvsp.chunk(1, image(1)) + INFORMATION + gvsp.chunk(2, bytes(300))
+        for payload_bytes, end in [(len(chunks), frame(1)[-1]), (WIDTH * HEIGHT, None)]:
+            rig = Rig(payload_bytes=payload_bytes)
+            *packets, own_end = self.packets(1, chunks)
+            assert not rig.feed([*packets, end or own_end])
+            assert (
+                "ends a frame of payload type 0x4001 with a trailer of another" in rig.assembler.last_refusal
+            )
+            (block,) = rig.after(RETENTION_NS)
+            assert block.fault == "1 packet missing"
+
+    @pytest.mark.parametrize("kind", [0x0002, gvsp.CHUNKS, 0x0006, 0x000A, 0x4002])
+    def test_and_other_payloads_without_an_image_s_leader_are_refused_by_name(self, kind: int) -> None:
+        rig = Rig()
+        assert not rig.feed(self.packets(1, gvsp.chunk(1, image(1)), kind))
+        assert f"sends payload type {kind:#06x}, which announces no image: switch" in rig.assembler.last_refusal
+
+
 FORGERIES: dict[str, Callable[[], list[tuple[int, bytes]]]] = {
     "a leader from another port": lambda: [(OTHER_PORT, frame(9)[0])],
     "a leader of another kind of numbers": lambda: [(PORT, frame(9, extended=True)[0])],
     "a packet of the frame from another port": lambda: [(OTHER_PORT, frame(2)[3])],
     "a trailer of the frame from another port": lambda: [(OTHER_PORT, frame(2)[-1])],
+    "a leader of another payload type": lambda: [
+        (PORT, gvsp.frame(9, image(9), WIDTH, PACKET_BYTES, payload_type=gvsp.IMAGE_WITH_CHUNKS)[0])
+    ],
     "another leader with the frame's number": lambda: [
         (PORT, gvsp.frame(2, image(2), WIDTH, PACKET_BYTES, timestamp=5)[0])
     ],
