@@ -127,6 +127,15 @@ class TemperatureCamera(Camera, Protocol):
         """
 
 
+@runtime_checkable
+class AutomaticCamera(Camera, Protocol):
+    """A camera that may change its picture by itself."""
+
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """Its own names of automatic modes that stay on although the config does not ask for them."""
+
+
 class StageError(Exception):
     """The stage did not do what was requested; the message gives the reason."""
 

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.camera_report import CameraReport, Deliveries
 from altd.ports import (
+    AutomaticCamera,
     Camera,
     CameraBusyError,
     CameraEndedError,
@@ -164,7 +165,8 @@ class _Acquirer:
         self._camera.open()
         exposure = self._exposure
         self._note(is_fresh=False, is_late=False)
-        self._call_in_loop(self._report.opened)
+        automatic = self._camera.automatic if isinstance(self._camera, AutomaticCamera) else ()
+        self._call_in_loop(self._report.opened, automatic)
         last: int | None = None
         stamps = StampCheck()
         if exposure is not None:

@@ -49,13 +49,15 @@ class CameraReport:
         self._known = Deliveries(0, 0)
         self._losses: deque[tuple[int, int]] = deque()
         self._mistimed_ns: int | None = None
+        self._automatic: tuple[str, ...] = ()
         self._refusal = ""
         self._logged_refusal = ""
         self._figures: ExposureFigures | None = None
 
-    def opened(self) -> None:
-        """Note that the camera was opened; its state becomes OK with the first frame."""
+    def opened(self, automatic: tuple[str, ...]) -> None:
+        """Note that the camera was opened, with these ``automatic`` modes on; frames make its state OK."""
         self._is_open = True
+        self._automatic = automatic
         self._refusal = ""
 
     def exposure_set(self, outcome: Applied | Refused) -> None:
@@ -144,4 +146,7 @@ class CameraReport:
         if self._refusal:
             complaints.append(f"exposure refused: {self._refusal}")
         trouble = CameraTrouble.EXPOSURE_REFUSED if self._refusal else None
+        if self._automatic:
+            trouble = trouble if complaints else CameraTrouble.AUTOMATIC
+            complaints.append(f"stays on: {', '.join(self._automatic)}")
         self._component.set_state(State.DEGRADED if complaints else State.OK, "; ".join(complaints), trouble)

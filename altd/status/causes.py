@@ -9,7 +9,7 @@ from altd.reasons import Reason
 from altd.records import Fault, FaultCause, Measurement
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
-from altd.status.health import COMPUTER, MEASURING, Component, State
+from altd.status.health import COMPUTER, MEASURING, CameraTrouble, Component, State
 
 START_S = 2.0
 """Time after the daemon's start during which the unit counts as starting: cameras take time to open, s."""
@@ -98,6 +98,8 @@ def _of_component(component: Component, now_ns: int) -> Condition | None:
         case State.DEGRADED:
             if component.name == MEASURING:
                 return None
+            if component.trouble is CameraTrouble.AUTOMATIC:
+                return Condition.CAMERA_AUTOMATIC
             return _DEGRADED.get(component.kind, Condition.COMPONENT_DEGRADED)
         case State.ENDED if component.kind == "camera":
             return Condition.RECORDING_ENDED

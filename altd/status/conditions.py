@@ -47,6 +47,12 @@ class Condition(StrEnum):
         "check the camera's cable, and its table in the config",
         "frames are lost, late or have impossible times, or the camera refuses its exposure",
     )  # fmt: skip
+    CAMERA_AUTOMATIC = (
+        "camera_automatic", _MAINTENANCE_REQUIRED,
+        "the camera changes its picture by itself",
+        "accept the automatic mode in the camera's table in the config, or use another camera",
+        "automatic exposure, gain, white balance or focus that could not be switched off",
+    )  # fmt: skip
     RECORDING_ENDED = (
         "recording_ended", _CHECK_FUNCTION,
         "the recording is at its end",

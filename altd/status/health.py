@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 
 from altd.ports import Clock
+from altd.status.conditions import Condition
 from altd.status.event_log import EventLog
 
 MEASURING = "measuring"
@@ -46,6 +47,7 @@ class CameraTrouble(Enum):
     DRIVER_HANGS = "unplug it and plug it in again"
     NO_FRAMES = "check its trigger, cable and supply"
     EXPOSURE_REFUSED = "check its limits in the config"
+    AUTOMATIC = Condition.CAMERA_AUTOMATIC.remedy
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ def main() -> None:
             "silent": silent(),
             "stamps": {source: stamps(source) for source in ("end_of_frame", "start_of_exposure")},
             "reopened": reopened(),
+            "automatic": automatic(),
         }
     )
 
@@ -144,6 +145,18 @@ def reopened() -> list[int]:
     one.open()
     found += sequences(one, 4)
     one.close()
+    return found
+
+
+def automatic() -> list[object]:
+    """The gain of a camera that altd controls, and of one whose own control is accepted."""
+    found: list[object] = []
+    for control in ("auto", "camera"):
+        v4l2_ctl(DEVICE, "-c", "gain_automatic=1")
+        one = camera(DEVICE, exposure={"control": control})
+        one.open()
+        found += [list(one.automatic), v4l2_ctl(DEVICE, "-C", "gain_automatic").strip()]
+        one.close()
     return found
 
 

@@ -28,6 +28,7 @@ class ScriptedCamera:
     waits = False
     exposure_range = None
     identity = None
+    automatic: tuple[str, ...] = ()
 
     def __init__(self, clock: FakeClock, *script: Exception | str | int) -> None:
         self.clock = clock

@@ -213,14 +213,6 @@ class Device:
         with _typed_errors(f"gain {gain:g}"):
             self._camera.set_gain(gain)
 
-    def manual_exposure(self) -> None:
-        """Switch off the camera's own control of exposure and gain, where it has one."""
-        with _typed_errors("ExposureAuto, GainAuto"):
-            if self._camera.is_exposure_auto_available():
-                self._camera.set_exposure_time_auto(Aravis.Auto.OFF)
-            if self._camera.is_gain_auto_available():
-                self._camera.set_gain_auto(Aravis.Auto.OFF)
-
     def without_chunks(self) -> None:
         """Switch off chunk data in frames, which another program may have left on."""
         with _typed_errors("ChunkModeActive"):

@@ -85,6 +85,11 @@ class AravisCamera:
         """Range of exposure and gain; gain in dB, as SFNC requires of a camera's ``Gain``."""
         return None if self._opened is None else self._opened.exposure_range
 
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """Names of automatic modes that stay on although the config does not ask for them."""
+        return () if self._opened is None else self._opened.automatic
+
     def open(self) -> None:
         """Find the camera, take control of it, set it up and start its stream."""
         camera = self._find()

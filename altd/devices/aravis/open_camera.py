@@ -27,6 +27,7 @@ _STALL_S = 0.25
 """Longest delay of the process, as by another program, that loses no frame."""
 _RELEASE_TIMEOUT_S = 1.0
 _TEMPERATURE = "DeviceTemperature"
+_EXPOSURE_MODES, _OFF = ("ExposureAuto", "GainAuto"), "Off"
 
 
 @dataclass(slots=True)
@@ -39,6 +40,8 @@ class OpenCamera:
     has_gain: bool
     exposure_ms: float | None
     gain_db: float | None
+    automatic: tuple[str, ...] = ()
+    """Automatic modes that stay on although the config does not ask for them."""
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
@@ -81,16 +84,26 @@ def set_up(
     _set_format(device, settings.pixel_format, settings.width)
     _set_region(device, settings)
     _set_trigger(device, settings)
-    if settings.exposure.control != "camera":
-        device.manual_exposure()
+    for mode in automatic_modes(device, settings):
+        with suppress(CameraRefusedError):
+            device.set(mode, _OFF)
+    automatic = automatic_modes(device, settings)
     exposure_us, gain = device.exposure_limits_us(), device.gain_limits()
     device.without_chunks()
-    known = settings.exposure.control != "camera"  # else it changes automatically
+    known = settings.exposure.control != "camera" and not {*automatic} & {*_EXPOSURE_MODES}
     exposure_ms = device.exposure_us() * 1e-3 if known and exposure_us is not None else None
     gain_db = device.gain() if known and gain is not None else None
     stream = _start_stream(device, settings, camera, own_address, address)
     exposure_range = _exposure_range(exposure_us, gain)
-    return OpenCamera(device, stream, exposure_range, gain is not None, exposure_ms, gain_db)
+    return OpenCamera(device, stream, exposure_range, gain is not None, exposure_ms, gain_db, automatic)
+
+
+def automatic_modes(device: Device, settings: AravisCameraSettings) -> tuple[str, ...]:
+    """Automatic modes (SFNC) that are on although the config does not ask for them."""
+    modes: tuple[str, ...] = () if settings.exposure.control == "camera" else _EXPOSURE_MODES
+    if "BalanceWhiteAuto" not in settings.features:
+        modes += ("BalanceWhiteAuto",)
+    return tuple(mode for mode in modes if device.has(mode) and device.text(mode) != _OFF)
 
 
 def _start_stream(

@@ -13,7 +13,14 @@ from typing import Self
 from altd.devices.counting import FrameCounter
 from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.v4l2 import V4l2CameraSettings, abi
-from altd.devices.v4l2.controls import Control, controls_of, set_controls
+from altd.devices.v4l2.controls import (
+    MANUAL_EXPOSURE,
+    Control,
+    automatic_modes,
+    controls_of,
+    set_controls,
+    switch_off,
+)
 from altd.devices.v4l2.image import Layout, Stamp, middle_of_exposure_ns
 from altd.devices.v4l2.node import VideoNode
 from altd.devices.v4l2.stream import Stream, set_format, set_rate
@@ -29,7 +36,6 @@ from altd.ports import (
 from altd.records import CameraIdentity, Frame, Origin
 
 _EXPOSURE_UNIT_MS = 0.1
-_MANUAL = 1
 _KEEP_RATE = 0
 
 
@@ -64,14 +70,14 @@ class ExposureTime:
 
     def now_ms(self, node: VideoNode) -> float | None:
         """Current exposure, ms; None while the camera chooses it automatically. Raises OSError."""
-        if self.automatic is not None and self.automatic.value(node) != _MANUAL:
+        if self.automatic is not None and self.automatic.value(node) != MANUAL_EXPOSURE:
             return None
         return self.time.value(node) * _EXPOSURE_UNIT_MS
 
     def set(self, node: VideoNode, exposure_ms: float) -> float:
         """Set the nearest possible exposure and return it, ms; raises CameraRefusedError, OSError."""
-        if self.automatic is not None and self.automatic.value(node) != _MANUAL:
-            self.automatic.set(node, _MANUAL)
+        if self.automatic is not None and self.automatic.value(node) != MANUAL_EXPOSURE:
+            self.automatic.set(node, MANUAL_EXPOSURE)
         if self.may_slow_down is not None and self.may_slow_down.writes:
             self.may_slow_down.set(node, _KEEP_RATE)
         units = self.units(exposure_ms)
@@ -106,6 +112,7 @@ class _Running:
     stream: Stream
     exposure: ExposureTime | None
     exposure_ms: float | None
+    automatic: tuple[str, ...]
 
 
 class V4l2Camera:
@@ -126,6 +133,11 @@ class V4l2Camera:
         """Range of the exposure, where the camera sets it in a unit of time; never a gain."""
         exposure = self._running.exposure if self._running else None
         return exposure.range if exposure else None
+
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """Names of automatic modes that stay on although the config does not ask for them."""
+        return self._running.automatic if self._running else ()
 
     def open(self) -> None:
         """Open the camera and start it with the format, rate and controls of the config."""
@@ -178,8 +190,12 @@ class V4l2Camera:
         layout = set_format(node, settings.width, settings.height, PIXEL_FORMATS[settings.pixel_format])
         set_rate(node, settings.fps, layout)
         exposure = ExposureTime.of(controls_of(node).values())
+        for mode in tuple(automatic_modes(node, settings)):
+            if exposure is not None or mode.number != abi.V4L2_CID_EXPOSURE_AUTO:  # else nothing would set it
+                switch_off(node, mode)
+        automatic = tuple(mode.name for mode in automatic_modes(node, settings))
         exposure_ms = exposure.now_ms(node) if exposure else None
-        return _Running(node, layout, Stream(node, settings.fps), exposure, exposure_ms)
+        return _Running(node, layout, Stream(node, settings.fps), exposure, exposure_ms, automatic)
 
     def _open_camera(self) -> _Running:
         if self._running is None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import errno
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
-from altd.devices.v4l2 import abi
+from altd.devices.v4l2 import V4l2CameraSettings, abi
 from altd.devices.v4l2.node import VideoNode, text
 from altd.ports import CameraRefusedError
 
@@ -20,6 +21,16 @@ _KINDS = {
     abi.V4L2_CTRL_TYPE_BUTTON: "button",
 }
 """Control types whose value is one 32-bit number, by their names here."""
+
+
+MANUAL_EXPOSURE = 1
+_OFF_OF_EXPOSURE = {
+    abi.V4L2_CID_EXPOSURE_AUTO: MANUAL_EXPOSURE,
+    abi.V4L2_CID_EXPOSURE_AUTO_PRIORITY: 0,
+    abi.V4L2_CID_AUTOGAIN: 0,
+}
+_OFF = _OFF_OF_EXPOSURE | {abi.V4L2_CID_AUTO_WHITE_BALANCE: 0, abi.V4L2_CID_FOCUS_AUTO: 0}
+"""Automatic modes, with the value that switches each off ("Camera Control Reference" of the kernel)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +88,24 @@ def set_controls(node: VideoNode, wanted: Mapping[str, int]) -> None:
         if name not in controls:
             raise CameraRefusedError(f"has no control {name}; it has {', '.join(controls) or 'none'}")
         controls[name].set(node, value)
+
+
+def automatic_modes(node: VideoNode, settings: V4l2CameraSettings) -> Iterator[Control]:
+    """Yield automatic modes that are on although the config does not ask for them; raises OSError."""
+    accepted = _OFF_OF_EXPOSURE if settings.exposure.control == "camera" else {}
+    for control in _controls(node):
+        off = _OFF.get(control.number)
+        if off is None or control.number in accepted or control.name in settings.controls:
+            continue
+        with suppress(OSError):  # a mode that cannot be read is not known to be on
+            if control.value(node) != off:
+                yield control
+
+
+def switch_off(node: VideoNode, mode: Control) -> None:
+    """Switch an automatic mode off, where the camera accepts that."""
+    with suppress(OSError, CameraRefusedError):
+        mode.set(node, _OFF[mode.number])
 
 
 def _controls(node: VideoNode) -> Iterator[Control]:

@@ -11,7 +11,7 @@ from altd.devices.nodes import check_duplicates, check_node
 from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.settings import details
 from altd.devices.v4l2 import PIXEL_FORMAT_NAMES, V4l2CameraSettings
-from altd.devices.v4l2.controls import Control, controls_of
+from altd.devices.v4l2.controls import Control, automatic_modes, controls_of
 from altd.devices.v4l2.image import Size, fourccs, sizes
 from altd.devices.v4l2.node import VideoNode
 from altd.process.machine import Finding, Machine
@@ -99,6 +99,7 @@ def check(cameras: Mapping[str, V4l2CameraSettings], machine: Machine) -> Iterat
     speeds: dict[str, int] = {}
     for name, camera in cameras.items():
         yield from check_node(f"camera {name} {camera.device}", camera.device, _NAMES, machine)
+        yield from _automatic(f"camera {name} {camera.device}", camera, machine)
         bus = _usb_bus(camera.device, machine)
         if bus is not None:
             number, speeds[bus[0]] = bus
@@ -114,6 +115,23 @@ def check(cameras: Mapping[str, V4l2CameraSettings], machine: Machine) -> Iterat
         else:
             remedy = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
             yield Finding.error(subject, f"{text}: too much", remedy)
+
+
+def _automatic(subject: str, camera: V4l2CameraSettings, machine: Machine) -> Iterator[Finding]:
+    """Find automatic modes that cannot be switched off: altd tries at the opening of the camera."""
+    try:
+        node = VideoNode(machine.at(camera.device))
+    except OSError:
+        return  # which has a finding of its own
+    try:
+        on = [mode for mode in automatic_modes(node, camera) if machine.runs_daemon() or not mode.writes]
+        values = ", ".join(f"{mode.name} = {mode.value(node)}" for mode in on)
+    finally:
+        node.close()
+    if on:
+        remedy = f"controls = {{ {values} }}   # accepts it, for a camera that cannot do without"
+        names = ", ".join(mode.name for mode in on)
+        yield Finding.warning(subject, f"{names}: stays on, so the picture changes by itself", remedy)
 
 
 def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:

@@ -19,6 +19,7 @@ from altd.status.zero import ZeroState
 _SHOWN_BY_COMPONENTS = {
     Condition.CAMERA_FAILED,
     Condition.CAMERA_DEGRADED,
+    Condition.CAMERA_AUTOMATIC,
     Condition.RECORDING_ENDED,
     Condition.FACE_FAILED,
     Condition.LAMPS_FAILED,

@@ -193,6 +193,20 @@ async def test_a_camera_that_was_opened_again_gets_its_exposure_again(
     assert camera.calls == ["open", "expose 10 ms 0 dB", "close"] * 2
 
 
+async def test_a_camera_that_changes_its_picture_by_itself_goes_on_and_health_says_so(
+    component: Component, clock: FakeClock
+) -> None:
+    camera = ScriptedCamera(clock, *["frame"] * 20, 3)
+    camera.automatic = "gain_automatic", "white_balance_automatic"
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
+    await clock.until(lambda: component.state is State.DEGRADED)
+    assert component.message == "stays on: gain_automatic, white_balance_automatic"
+    assert component.trouble is CameraTrouble.AUTOMATIC
+    await clock.until(lambda: component.message.startswith("3 frames lost in the last second; stays on"))
+    assert component.trouble is None
+    await clock.stop(task)
+
+
 async def test_a_camera_that_refuses_an_exposure_goes_on_and_health_says_so(
     component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:

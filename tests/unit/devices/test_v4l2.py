@@ -4,6 +4,7 @@ With the kernel's test drivers: ``tests/system/devices/v4l2``.
 """
 
 import ctypes
+import errno
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +14,12 @@ import pytest
 from support.foreign import need, need_program
 
 from altd.devices.pixels import PIXEL_FORMATS
-from altd.devices.v4l2 import PIXEL_FORMAT_NAMES, V4l2CameraSettings, abi
+from altd.devices.v4l2 import PIXEL_FORMAT_NAMES, V4l2CameraSettings, abi, find_cameras
 from altd.devices.v4l2.camera import ExposureTime, V4l2Camera
-from altd.devices.v4l2.controls import Control
+from altd.devices.v4l2.controls import Control, automatic_modes, switch_off
 from altd.devices.v4l2.image import Layout, Stamp, code, middle_of_exposure_ns
 from altd.ports import CameraLostError, CameraNotFoundError, CameraRefusedError, ExposureRange
+from altd.process.machine import Machine
 
 NEWER_FORMATS = {"Y12P"}
 """Not yet in the headers of Debian 12."""
@@ -163,6 +165,92 @@ def test_an_exposure_of_nothing_is_not_offered() -> None:
 def test_an_exposure_is_the_nearest_that_steps_and_range_allow(exposure_ms: float, units: int) -> None:
     exposure = ExposureTime.of([control(abi.V4L2_CID_EXPOSURE_ABSOLUTE, 5, 98, step=5)])
     assert exposure.units(exposure_ms) == units
+
+
+class WebcamNode:
+    """The calls of a kernel driver for controls: name, value, and whether the value can be changed."""
+
+    def __init__(self, controls: dict[int, tuple[bytes, int, bool]]) -> None:
+        self.controls = controls
+
+    def call(self, request: int, argument: Any) -> Any:
+        if request == abi.VIDIOC_QUERY_EXT_CTRL:
+            after = argument.id & ~abi.V4L2_CTRL_FLAG_NEXT_CTRL
+            number = min((number for number in self.controls if number > after), default=None)
+            if number is None:
+                raise OSError(errno.EINVAL, "no further control")
+            argument.id, argument.type = number, abi.V4L2_CTRL_TYPE_INTEGER
+            argument.name, argument.maximum = self.controls[number][0], 3
+            return argument
+        name, value, changes = self.controls[argument.id]
+        if request == abi.VIDIOC_S_CTRL:
+            if not changes:
+                raise OSError(errno.EBUSY, "grabbed")
+            self.controls[argument.id] = name, argument.value, changes
+        else:
+            argument.value = value
+        return argument
+
+    def close(self) -> None: ...
+
+
+def webcam() -> WebcamNode:
+    """With the kernel's numbers and names (v4l2-controls.h, v4l2-ctrls-defs.c); 3: aperture priority."""
+    return WebcamNode(
+        {
+            0x0098_0900: (b"Brightness", 3, True),
+            0x0098_090C: (b"White Balance, Automatic", 1, True),
+            0x0098_0912: (b"Gain, Automatic", 1, False),
+            0x009A_0901: (b"Auto Exposure", 3, True),
+            0x009A_0903: (b"Exposure, Dynamic Framerate", 1, True),
+            0x009A_090C: (b"Focus, Automatic Continuous", 1, True),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("settings", "off", "on"),
+    [
+        (
+            {},
+            {0x0098_090C: 0, 0x009A_0901: 1, 0x009A_0903: 0, 0x009A_090C: 0},
+            ["gain_automatic"],
+        ),
+        (
+            {"controls": {"gain_automatic": 1, "white_balance_automatic": 1}},
+            {0x009A_0901: 1, 0x009A_0903: 0, 0x009A_090C: 0},
+            [],
+        ),
+        ({"exposure": {"control": "camera"}}, {0x0098_090C: 0, 0x009A_090C: 0}, []),
+    ],
+    ids=["all", "some are accepted", "the camera controls its exposure"],
+)
+def test_automatic_modes_are_switched_off_unless_the_config_accepts_them(
+    settings: dict[str, Any], off: dict[int, int], on: list[str]
+) -> None:
+    node: Any = webcam()
+    table = V4l2CameraSettings.model_validate({"driver": "v4l2", "device": "/dev/video0", **settings})
+    for mode in list(automatic_modes(node, table)):
+        switch_off(node, mode)
+    values = {number: value for number, (_, value, _) in webcam().controls.items()}
+    assert {number: value for number, (_, value, _) in node.controls.items()} == values | off
+    assert [mode.name for mode in automatic_modes(node, table)] == on
+
+
+def test_the_doctor_names_an_automatic_mode_that_altd_could_not_switch_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = V4l2CameraSettings(driver="v4l2", device=Path("/dev/video0"), exposure={"control": "camera"})
+    monkeypatch.setattr(find_cameras, "VideoNode", lambda _: webcam())
+    texts = []
+    for runs_daemon in (False, True):
+        monkeypatch.setattr(Machine, "runs_daemon", lambda _, runs=runs_daemon: runs)
+        found = find_cameras.check({"front": table}, Machine(tmp_path))
+        texts.append([f"{finding.text}; {finding.remedy}" for finding in found if "stays on" in finding.text])
+    assert texts[0] == []
+    (text,) = texts[1]
+    assert text.startswith("white_balance_automatic, focus_automatic_continuous: stays on, so the picture")
+    assert "controls = { white_balance_automatic = 1, focus_automatic_continuous = 1 }" in text
 
 
 NOW_NS = 5_000_000_000_000

@@ -11,14 +11,16 @@ from altd.records import Fault, FaultCause
 from altd.status.cause import MAINTENANCE_DELAY_S, Cause, StateReport
 from altd.status.causes import MAX_START_S, START_S
 from altd.status.conditions import Condition
-from altd.status.health import State
+from altd.status.health import CameraTrouble, State
 
 from .clocked_unit import STALE_AFTER_S, Unit, kinds
 
 
-def with_component(name: str, state: State) -> Callable[[Unit], StateReport]:
+def with_component(
+    name: str, state: State, trouble: CameraTrouble | None = None
+) -> Callable[[Unit], StateReport]:
     def scenario(unit: Unit) -> StateReport:
-        unit.health.component(name).set_state(state, "its own words")
+        unit.health.component(name).set_state(state, "its own words", trouble)
         return unit.measure(for_s=MAINTENANCE_DELAY_S)
 
     return scenario
@@ -129,6 +131,10 @@ REACHED: dict[str, tuple[str, Callable[[Unit], StateReport]]] = {
     "unknown_reason": (FAILURE, a_reason_of_no_table),
     "camera_failed": (FAILURE, with_component("camera front", State.FAILED)),
     "camera_degraded": (MAINTENANCE, with_component("camera front", State.DEGRADED)),
+    "camera_automatic": (
+        MAINTENANCE,
+        with_component("camera front", State.DEGRADED, CameraTrouble.AUTOMATIC),
+    ),
     "recording_ended": (CHECK, with_component("camera front", State.ENDED)),
     "face_failed": (MAINTENANCE, with_component("modbus_tcp 0.0.0.0:502", State.FAILED)),
     "lamps_failed": (MAINTENANCE, with_component("lamps", State.FAILED)),

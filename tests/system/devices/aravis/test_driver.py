@@ -49,6 +49,25 @@ THERMOMETER = (
     "<AccessMode>RO</AccessMode><pPort>Device</pPort><Endianess>BigEndian</Endianess></FloatReg>"
 )
 
+WHITE_BALANCE = (
+    '<Enumeration Name="BalanceWhiteAuto"><EnumEntry Name="Continuous"><Value>0</Value></EnumEntry>'
+    '<EnumEntry Name="Off"><Value>1</Value></EnumEntry><pValue>R5</pValue></Enumeration>'
+    '<IntReg Name="R5"><Address>0x4030</Address><Length>4</Length><AccessMode>RO</AccessMode>'
+    "<pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+)
+
+
+class TestAutomaticModes:
+    def test_are_switched_off_and_those_that_stay_on_are_named(
+        self, cameras: Cameras, tmp_path: Path
+    ) -> None:
+        cameras.start_with(WHITE_BALANCE, tmp_path)
+        camera = driver(features={"GainAuto": "Continuous"})
+        camera.open()
+        assert camera.automatic == ("BalanceWhiteAuto",)
+        assert camera.next_frame(2.0).gain_db is not None
+        camera.close()
+
 
 class TestFrames:
     def test_are_the_cameras_own(self, cameras: Cameras) -> None:

@@ -105,6 +105,10 @@ def test_the_numbers_go_on_after_a_re_opening(frames: GuestRun) -> None:
     assert sequence[4] == sequence[3] + 1
 
 
+def test_an_automatic_gain_is_switched_off_unless_it_is_accepted(frames: GuestRun) -> None:
+    assert frames.results["automatic"] == [[], "gain_automatic: 0", [], "gain_automatic: 1"]
+
+
 def test_a_camera_that_is_silent_is_said_to_be_in_time(frames: GuestRun) -> None:
     silent = frames.results["silent"]
     assert silent["error"] == "CameraTimeoutError"

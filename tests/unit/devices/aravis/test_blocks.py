@@ -241,7 +241,9 @@ class TestChunks:
     def test_and_other_payloads_without_an_image_s_leader_are_refused_by_name(self, kind: int) -> None:
         rig = Rig()
         assert not rig.feed(self.packets(1, gvsp.chunk(1, image(1)), kind))
-        assert f"sends payload type {kind:#06x}, which announces no image: switch" in rig.assembler.last_refusal
+        assert (
+            f"sends payload type {kind:#06x}, which announces no image: switch" in rig.assembler.last_refusal
+        )
 
 
 FORGERIES: dict[str, Callable[[], list[tuple[int, bytes]]]] = {
