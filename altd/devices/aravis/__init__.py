@@ -1,4 +1,4 @@
-"""GigE Vision cameras through Aravis."""
+"""GigE Vision and USB3 Vision cameras through Aravis."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def remedy_of(error: Exception) -> str:
 
 
 def _library(needed: bool) -> Finding:
-    """Check PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
+    """Check PyGObject and Aravis' typelib; only cameras of driver "aravis" need them."""
     subject = "library aravis"
     try:
         gi = import_module("gi")
         gi.require_version("Aravis", "0.8")
         import_module("gi.repository.Aravis")
     except Exception as error:
-        text = f"GigE Vision cameras need it: {said(error)}"
+        text = f"GigE Vision and USB3 Vision cameras need it: {said(error)}"
         remedy = f"{remedy_of(error)}   # see docs/cameras.md"
         return (Finding.error if needed else Finding.warning)(subject, text, remedy)
     return Finding.good(subject, "installed")
@@ -68,7 +68,7 @@ PIXEL_FORMAT_NAMES: tuple[str, ...] = get_args(_PixelFormat)
 
 
 class AravisCameraSettings(LiveCameraSettings):
-    """A GigE Vision camera through Aravis. Needs the Debian packages that `cameras.md` names."""
+    """A GigE Vision or USB3 Vision camera through Aravis. Needs the packages that `cameras.md` names."""
 
     about: ClassVar[Driver | None] = Driver(
         "altd.devices.aravis.check",
@@ -79,7 +79,9 @@ class AravisCameraSettings(LiveCameraSettings):
 
     driver: Literal["aravis"]
     device: Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_camera_name)]
-    """Serial number, IP address, id or user-defined name (`altd devices`)."""
+    """Serial number or id; of GigE Vision also IP address or user-defined name (`altd devices`)."""
+    interface: Literal["gige", "usb"] = "gige"
+    """GigE Vision or USB3 Vision; `packet_bytes` and `resend` are for GigE Vision alone."""
     pixel_format: _PixelFormat = "Mono8"
     """Grey of 8 to 16 bits, packed (`p`, `Packed`) or not."""
     offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
@@ -119,11 +121,12 @@ class AravisCameraSettings(LiveCameraSettings):
     def camera(self, name: str, clock: Clock, shared: dict[object, Any]) -> Camera:
         """Return the camera; raises BadInputError if Aravis is missing."""
         try:
-            from altd.devices.aravis.driver import AravisCamera
+            from altd.devices.aravis.driver import AravisCamera, UsbCamera
         except ImportError as error:
             raise BadInputError(f"cameras.{name}", str(error)) from error
+        kind = UsbCamera if self.interface == "usb" else AravisCamera
         if not self.software_triggered:
-            return AravisCamera(name, self)
+            return kind(name, self)
         triggers = shared.setdefault(TriggerTimes, TriggerTimes(round(1e9 / self.fps), 0))
         triggers.lengthen(round(1e6 * self.busy_ms))
-        return AravisCamera(name, self, triggers)
+        return kind(name, self, triggers)

@@ -1,18 +1,21 @@
 """Typed wrapper of Aravis: the only file that uses PyGObject, which has no types.
 
 Aravis' errors are raised as CameraError or one of its subclasses. A camera that does not answer blocks each
-call for 2.5 s. Nothing here is thread-safe. Frames do not pass through Aravis: altd receives them itself
-(stream.py).
+call for 2.5 s. Nothing here is thread-safe. Frames of GigE Vision do not pass through Aravis: altd receives
+them itself (stream.py).
 """
 
 from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 from altd.devices.aravis import remedy_of
+from altd.devices.aravis.blocks import REMEDY, Block, StreamFormat
 from altd.devices.aravis.packets import filter_new_sockets, open_sockets
 from altd.ports import CameraBusyError, CameraError, CameraLostError, CameraNotFoundError, CameraRefusedError
 
@@ -23,7 +26,7 @@ try:
     from gi.repository import Aravis, Gio, GLib
 except (ImportError, ValueError) as error:
     raise ImportError(
-        f"GigE Vision needs Aravis ({error}): {remedy_of(error)}, see docs/cameras.md"
+        f"this camera needs Aravis ({error}): {remedy_of(error)}, see docs/cameras.md"
     ) from error
 
 _LOST_CODES = (
@@ -38,6 +41,8 @@ open a camera has a lock against that, but holds it while it searches for a came
 # bootstrap registers of stream channel 0 (GigE Vision 2.0, section 28): SCP0, SCDA0, SCSP0
 _HOST_PORT, _DESTINATION_ADDRESS, _SOURCE_PORT = 0x0D00, 0x0D18, 0x0D1C
 
+_MAX_AGE_NS = 1_000_000_000
+"""Time since the leader above which the time of day, by which Aravis stamps it, was set meanwhile."""
 _BUSY_CODES = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
 
 
@@ -57,17 +62,14 @@ def _typed_errors(what: str) -> Iterator[None]:
 
 
 class Device:
-    """An open GigE Vision camera, controlled by us unless another program controls it."""
+    """An open camera with the features of GenICam, on any interface."""
 
-    def __init__(self, own_address: str, address: str) -> None:
-        self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
-        with _typed_errors(address), _GENICAM_LOCK:
-            before = open_sockets()
-            self._device = Aravis.GvDevice.new(
-                Gio.InetAddress.new_from_string(own_address), Gio.InetAddress.new_from_string(address)
-            )
-            filter_new_sockets(before, own_address, address)  # its control socket accepts any sender
-            self._camera = Aravis.Camera.new_with_device(self._device)
+    controlled = True
+    """Whether we have control, as far as it is known without a request."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self._camera = Aravis.Camera.new_with_device(device)
         self._camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
         self._camera.set_access_check_policy(Aravis.AccessCheckPolicy.ENABLE)
 
@@ -79,11 +81,6 @@ class Device:
     def closed(self) -> bool:
         """Whether the camera was released; then it cannot be used."""
         return self._device is None
-
-    @property
-    def controlled(self) -> bool:
-        """Whether we have control, according to the last heartbeat; sends nothing."""
-        return bool(self._device.is_controller())
 
     def has(self, feature: str) -> bool:
         """Whether the camera has a feature that can be used now."""
@@ -219,6 +216,30 @@ class Device:
             if self._camera.are_chunks_available():
                 self._camera.set_chunk_mode(False)
 
+    def stop(self) -> None:
+        """Stop acquisition."""
+        with _typed_errors("AcquisitionStop"):
+            self._camera.stop_acquisition()
+
+
+class GigeDevice(Device):
+    """An open GigE Vision camera, controlled by us unless another program controls it."""
+
+    def __init__(self, own_address: str, address: str) -> None:
+        self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
+        with _typed_errors(address), _GENICAM_LOCK:
+            before = open_sockets()
+            device = Aravis.GvDevice.new(
+                Gio.InetAddress.new_from_string(own_address), Gio.InetAddress.new_from_string(address)
+            )
+            filter_new_sockets(before, own_address, address)  # its control socket accepts any sender
+            super().__init__(device)
+
+    @property
+    def controlled(self) -> bool:  # type: ignore[override]
+        """Whether we have control, according to the last heartbeat; sends nothing."""
+        return bool(self._device.is_controller())
+
     def ticks_per_s(self) -> int:
         """Frequency of the clock that stamps frames, Hz; 0 for a camera that has none."""
         return int(self._device.get_timestamp_tick_frequency())
@@ -248,7 +269,73 @@ class Device:
             self._camera.start_acquisition()
             return int(source_port)
 
-    def stop(self) -> None:
-        """Stop acquisition."""
-        with _typed_errors("AcquisitionStop"):
-            self._camera.stop_acquisition()
+
+class UsbCameraName(NamedTuple):
+    """A connected USB3 Vision camera."""
+
+    id: str
+    vendor: str
+    model: str
+    serial: str
+
+
+def usb_cameras() -> list[UsbCameraName]:
+    """Return the connected USB3 Vision cameras that this user may open."""
+    with _GENICAM_LOCK:
+        Aravis.disable_interface("GigEVision")  # altd searches these itself
+        Aravis.update_device_list()
+        about = Aravis.get_device_id, Aravis.get_device_vendor, Aravis.get_device_model
+        names = (*about, Aravis.get_device_serial_nbr)
+        return [UsbCameraName(*(of(n) or "" for of in names)) for n in range(Aravis.get_n_devices())]
+
+
+class UsbDevice(Device):
+    """An open USB3 Vision camera, and its stream: Aravis receives the frames."""
+
+    quarantined = False
+
+    def __init__(self, name: str) -> None:
+        self.remark = ""
+        self._stream: Any = None
+        with _typed_errors(name), _GENICAM_LOCK:
+            super().__init__(Aravis.open_device(name))
+
+    def start(self, form: StreamFormat, frames: int) -> UsbDevice:
+        """Start acquisition of frames of this format, with space for some; return the stream."""
+        with _typed_errors("stream"):
+            self._camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
+            self._format, self._stream = form, self._camera.create_stream(None, None)
+            for _ in range(frames):
+                self._stream.push_buffer(Aravis.Buffer.new_allocate(form.payload_bytes))
+            self._camera.start_acquisition()
+        return self
+
+    def pop(self, timeout_s: float) -> Block | None:
+        """Return the next frame, or None on timeout. ``arrived_ns`` is when its leader came."""
+        buffer = self._stream.timeout_pop_buffer(max(0, round(timeout_s * 1e6)))
+        if buffer is None:
+            return None
+        age_ns = time.time_ns() - buffer.get_system_timestamp()
+        arrived_ns = time.monotonic_ns() - (age_ns if 0 <= age_ns < _MAX_AGE_NS else 0)
+        self.remark = self._fault(buffer)
+        data = None if self.remark else memoryview(buffer.get_data())[: self._format.image_bytes]
+        block = Block(self.remark, buffer.get_frame_id(), buffer.get_timestamp(), arrived_ns, data)
+        self._stream.push_buffer(buffer)
+        return block
+
+    def close(self) -> None:
+        """End the stream and release the camera; harmless if it is closed."""
+        self._stream = None
+        super().close()
+
+    def _fault(self, buffer: Any) -> str:
+        if buffer.get_status() != Aravis.BufferStatus.SUCCESS:
+            return f"frames are not whole ({buffer.get_status().value_nick})"
+        if buffer.get_payload_type() != Aravis.BufferPayloadType.IMAGE or buffer.has_chunks():
+            return f"sends other payloads than images: {REMEDY}"
+        *_, width, height = buffer.get_image_region()
+        form, pixel_format = self._format, buffer.get_image_pixel_format()
+        is_padded = any(buffer.get_image_padding()) or len(buffer.get_data()) < form.image_bytes
+        if is_padded or (pixel_format, width, height) != (form.pixel_format, form.width, form.height):
+            return f"sends {width} x {height} in format {pixel_format:#x}, and was not set to that"
+        return ""

@@ -25,7 +25,7 @@ _RESEND_INTERVAL_NS = 25_000_000
 _MAX_RESENDS = 3
 _MAX_RESEND_RANGES = 16
 _MAX_LEADERS_KEPT = 16
-_REMEDY = "switch chunks, compression and multi-part off with the maker's tool"
+REMEDY = "switch chunks, compression and multi-part off with the maker's tool"
 _MAX_STANDARD_ID = 65535
 _MAX_EXTENDED_ID = 2**64 - 1
 
@@ -33,6 +33,8 @@ _MAX_EXTENDED_ID = 2**64 - 1
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
     """The camera's settings of the stream: sizes in bytes, ``packet_bytes`` with all headers (IP, UDP, GVSP).
+
+    ``packet_bytes`` and ``ticks_per_s`` are those of GigE Vision alone.
 
     ``payload_bytes`` is the size of a block that the camera reports; it may include padding behind the image.
     """
@@ -42,8 +44,8 @@ class StreamFormat:
     pixel_format: int
     image_bytes: int
     payload_bytes: int
-    packet_bytes: int
-    ticks_per_s: int
+    packet_bytes: int = 0
+    ticks_per_s: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +200,7 @@ class Assembler:
         if leader is None or header.packet_id != 0:
             self.refused += 1
             kind = gvsp.payload_type(body)
-            self.last_refusal = f"sends payload type {kind:#06x}, which announces no image: {_REMEDY}"
+            self.last_refusal = f"sends payload type {kind:#06x}, which announces no image: {REMEDY}"
             return
         if leader[2:] != (form.pixel_format, form.width, form.height, 0, 0):
             self.refused += 1
@@ -292,7 +294,7 @@ class Assembler:
         stated = gvsp.chunk_bytes(block.pixels)
         if stated >= image_bytes and gvsp.bytes_to_end_of_chunk(stated) == layout.needed_bytes:
             return ""
-        return f"its chunks do not begin with an image of {image_bytes} bytes: {_REMEDY}"
+        return f"its chunks do not begin with an image of {image_bytes} bytes: {REMEDY}"
 
     def _contradict(self, what: str, now_ns: int) -> None:
         """Discard all earlier packets; the sender of the next packet is taken for the camera."""

@@ -33,6 +33,7 @@ class _Route:
 
 def lines() -> Iterator[str]:
     """Yield the cameras that answer for ``altd devices``; raises ImportError without Aravis."""
+    from altd.devices.aravis.binding import usb_cameras
     from altd.devices.aravis.open_camera import find_cameras
 
     for found in find_cameras():
@@ -44,12 +45,20 @@ def lines() -> Iterator[str]:
             yield from details("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
         else:
             yield from details("sends no grey picture that altd can use, or did not answer")
+    for usb in usb_cameras():
+        yield f'  device = "{usb.serial or usb.id}"'
+        yield '  interface = "usb"'
+        yield from details(f"{usb.vendor} {usb.model}; as an id {usb.id!r}")
 
 
 def check(cameras: Mapping[str, AravisCameraSettings], machine: Machine) -> Iterator[Finding]:
     """Check cameras of driver "aravis" and their interfaces; a camera with a name may be on any of them."""
     interfaces: dict[str, int] = {}
+    gige = {name: camera for name, camera in cameras.items() if camera.interface == "gige"}
     for name, camera in cameras.items():
+        if name not in gige:
+            yield _usb(f"camera {name} {camera.device}", camera.device)
+    for name, camera in gige.items():
         try:
             address = ipaddress.IPv4Address(camera.device)
         except ValueError:
@@ -63,13 +72,25 @@ def check(cameras: Mapping[str, AravisCameraSettings], machine: Machine) -> Iter
             interfaces[interface] = max(interfaces.get(interface, 0), camera.packet_bytes)
     for interface, packet_bytes in interfaces.items():
         yield from _interface(interface, packet_bytes, machine)
-    if cameras:
+    if gige:
         frame_bytes = max(
             camera.width * camera.height * (1 if camera.pixel_format == "Mono8" else 2)
-            for camera in cameras.values()
+            for camera in gige.values()
         )
         yield from _receive_buffer(frame_bytes, machine)
         yield from _source_check(machine)
+
+
+def _usb(subject: str, device: str) -> Finding:
+    """Check for a USB3 Vision camera by its name, without disturbing it."""
+    try:
+        from altd.devices.aravis.binding import usb_cameras
+    except ImportError:
+        return Finding.skipped(subject, "not looked for without Aravis")
+    if sum(device in (camera.id, camera.serial) for camera in usb_cameras()) == 1:
+        return Finding.good(subject, "is connected")
+    remedy = "lsusb   # check its cable, and the rule of udev that docs/cameras.md names"
+    return Finding.error(subject, "no USB3 Vision camera of this name may be opened", remedy)
 
 
 def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:

@@ -1,9 +1,10 @@
-"""A GigE Vision camera that implements the camera port.
+"""GigE Vision and USB3 Vision cameras that implement the camera port.
 
-Aravis detects a dead camera only after six seconds, and each request to one takes 2.5 s. The driver therefore
-checks the camera itself, by single packets, as soon as frames are missing. A camera that has dropped us or
-has restarted is given up and opened again at once. For one that does not answer the driver waits, with the
-stream open, as long as it may still regard us as its controller, because then frames resume automatically.
+Aravis detects a dead GigE Vision camera only after six seconds, and each request to one takes 2.5 s. The
+driver therefore checks the camera itself, by single packets, as soon as frames are missing. A camera that has
+dropped us or has restarted is given up and opened again at once. For one that does not answer the driver
+waits, with the stream open, as long as it may still regard us as its controller, because then frames resume
+automatically.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import time
 from contextlib import suppress
 
 from altd.devices.aravis import AravisCameraSettings, gvcp
-from altd.devices.aravis.binding import Device
+from altd.devices.aravis.binding import Device, GigeDevice, UsbCameraName, UsbDevice, usb_cameras
 from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.devices.aravis.gvcp import DiscoveredCamera, is_address
-from altd.devices.aravis.open_camera import OpenCamera, release, set_up
+from altd.devices.aravis.open_camera import OpenCamera, Start, frames_held, release, set_up, start_stream
 from altd.devices.counting import FrameCounter
 from altd.devices.pixels import PIXEL_FORMATS
 from altd.devices.trigger_times import TriggerTimes
@@ -92,28 +93,7 @@ class AravisCamera:
 
     def open(self) -> None:
         """Find the camera, take control of it, set it up and start its stream."""
-        camera = self._find()
-        try:
-            own_address = gvcp.own_address_towards(camera.address)
-        except OSError as error:
-            raise CameraNotFoundError(f"{camera.address}: {error.strerror}") from None
-        device = Device(own_address, camera.address)
-        ours = device.controlled
-        try:
-            if not ours:
-                raise CameraBusyError(f"{camera.id} at {camera.address}: another program controls it")
-            self.origin = _origin(camera, device)
-            self.identity = CameraIdentity(camera.serial or None, camera.model or None, "aravis")
-            self._opened = set_up(device, self._settings, self.name, own_address, camera.address)
-            if self._settings.trigger == "software" and (rates := device.frame_rate_limits()) is not None:
-                self._triggers.lengthen(round(1e9 / rates[1]))
-        except BaseException:
-            release(device, None, threading.Lock(), stop=False, wait=ours)
-            raise
-        self._address = camera.address
-        self._heartbeat_timeout_s = (
-            gvcp.heartbeat_timeout_s(camera.address, _ANSWER_TIMEOUT_S) or _HEARTBEAT_TIMEOUT_S
-        )
+        self._opened = self._connect()
         for line, on in self._outputs.items():
             self._opened.switch_output(line, on)
         self._counter.reopened()
@@ -123,6 +103,38 @@ class AravisCamera:
         self._frame_ns = time.monotonic_ns()
         self._trigger_due_ns = self._triggers.after(self._frame_ns)
         self._changed_ns = self._settled_ns = 0
+
+    def _connect(self) -> OpenCamera:
+        camera = self._find()
+        try:
+            own_address = gvcp.own_address_towards(camera.address)
+        except OSError as error:
+            raise CameraNotFoundError(f"{camera.address}: {error.strerror}") from None
+        device = GigeDevice(own_address, camera.address)
+        ours = device.controlled
+        try:
+            if not ours:
+                raise CameraBusyError(f"{camera.id} at {camera.address}: another program controls it")
+            addresses = own_address, camera.address
+            opened = self._set_up(
+                device, camera, lambda form: start_stream(form, device, self._settings, self.name, addresses)
+            )
+        except BaseException:
+            release(device, None, threading.Lock(), stop=False, wait=ours)
+            raise
+        self._address = camera.address
+        self._heartbeat_timeout_s = (
+            gvcp.heartbeat_timeout_s(camera.address, _ANSWER_TIMEOUT_S) or _HEARTBEAT_TIMEOUT_S
+        )
+        return opened
+
+    def _set_up(self, device: Device, camera: DiscoveredCamera | UsbCameraName, start: Start) -> OpenCamera:
+        self.origin = _origin(camera, device)
+        self.identity = CameraIdentity(camera.serial or None, camera.model or None, "aravis")
+        opened = set_up(device, self._settings, start)
+        if self._settings.trigger == "software" and (rates := device.frame_rate_limits()) is not None:
+            self._triggers.lengthen(round(1e9 / rates[1]))
+        return opened
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Return the next whole frame. Frames that lost packets are missing in ``sequence``.
@@ -236,12 +248,15 @@ class AravisCamera:
         elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
         elif now_ns - self._answering_since_ns > _FRAMELESS_TIMEOUT_S * 1e9:
-            remark = opened.stream.remark
-            if self._settings.trigger == "line" and (self._clock.known or not remark):
-                return  # a signal may pause; frames of which none was ever right are said
-            raise CameraLostError(
-                f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
-            )
+            self._give_up_frameless(opened, silent_s)
+
+    def _give_up_frameless(self, opened: OpenCamera, silent_s: float) -> None:
+        remark = opened.stream.remark
+        if self._settings.trigger == "line" and (self._clock.known or not remark):
+            return  # a signal may pause; frames of which none was ever right are said
+        raise CameraLostError(
+            f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
+        )
 
     def _silent_s(self, now_ns: int) -> float:
         """Time without a frame, s, where it is longer than expected; else 0."""
@@ -291,7 +306,37 @@ class AravisCamera:
         return None if start_ns is None else start_ns + exposure_ns // 2
 
 
-def _origin(camera: DiscoveredCamera, device: Device) -> Origin:
+class UsbCamera(AravisCamera):
+    """A USB3 Vision camera."""
+
+    def _connect(self) -> OpenCamera:
+        there, wanted = usb_cameras(), self._settings.device
+        found = [camera for camera in there if wanted in (camera.id, camera.serial)]
+        if len(found) != 1:
+            others = ", ".join(camera.serial or camera.id for camera in there) or "none"
+            number = f"{len(found)} USB3 Vision cameras are" if found else "no USB3 Vision camera is"
+            raise CameraNotFoundError(f"{number} {wanted}; connected and open to us: {others}")
+        device, frames = UsbDevice(found[0].id), frames_held(self._settings)
+        try:
+            return self._set_up(device, found[0], lambda form: device.start(form, frames))
+        except BaseException:
+            release(device, None, threading.Lock(), stop=False, wait=True)
+            raise
+
+    def _check_controlled(self, opened: OpenCamera) -> None:
+        if not (silent_s := self._silent_s(time.monotonic_ns())):
+            return
+        try:
+            with opened.lock:
+                opened.device.region()
+        except CameraError as error:
+            self._answers = False
+            raise CameraLostError(f"the camera does not answer any more: {error}") from None
+        if silent_s > _FRAMELESS_TIMEOUT_S:
+            self._give_up_frameless(opened, silent_s)
+
+
+def _origin(camera: DiscoveredCamera | UsbCameraName, device: Device) -> Origin:
     names = [f"{camera.vendor} {camera.model}"]
     with suppress(CameraError):
         names.append(f"{device.text('DeviceVendorName')} {device.text('DeviceModelName')}")

@@ -1,14 +1,15 @@
-"""An open GigE Vision camera: its set-up, its output line, its release; and discovery of cameras."""
+"""An open camera: its set-up, its output line, its release; and discovery of cameras."""
 
 from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from altd.devices.aravis import PIXEL_FORMAT_NAMES, AravisCameraSettings, gvcp
-from altd.devices.aravis.binding import Device
+from altd.devices.aravis.binding import Device, GigeDevice, UsbDevice
 from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
 from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.devices.aravis.packets import PacketSocket
@@ -35,7 +36,7 @@ class OpenCamera:
     """Objects of an open camera. ``lock`` guards every use of the device except the stream's."""
 
     device: Device
-    stream: Stream
+    stream: Stream | UsbDevice
     exposure_range: ExposureRange | None
     has_gain: bool
     exposure_ms: float | None
@@ -73,9 +74,11 @@ class OpenCamera:
             self.device.trigger()
 
 
-def set_up(
-    device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
-) -> OpenCamera:
+Start = Callable[[StreamFormat], Stream | UsbDevice]
+"""Starts the stream of frames of a format."""
+
+
+def set_up(device: Device, settings: AravisCameraSettings, start: Start) -> OpenCamera:
     """Set the camera up and start its stream; raises CameraRefusedError that lists what the camera offers."""
     with suppress(CameraRefusedError):  # the last controller may have died during acquisition
         device.stop()
@@ -93,7 +96,9 @@ def set_up(
     known = settings.exposure.control != "camera" and not {*automatic} & {*_EXPOSURE_MODES}
     exposure_ms = device.exposure_us() * 1e-3 if known and exposure_us is not None else None
     gain_db = device.gain() if known and gain is not None else None
-    stream = _start_stream(device, settings, camera, own_address, address)
+    image_bytes = settings.height * PIXEL_FORMATS[settings.pixel_format].line_bytes(settings.width)
+    size = settings.width, settings.height
+    stream = start(StreamFormat(*size, device.pixel_format(), image_bytes, device.payload_bytes()))
     exposure_range = _exposure_range(exposure_us, gain)
     return OpenCamera(device, stream, exposure_range, gain is not None, exposure_ms, gain_db, automatic)
 
@@ -106,23 +111,24 @@ def automatic_modes(device: Device, settings: AravisCameraSettings) -> tuple[str
     return tuple(mode for mode in modes if device.has(mode) and device.text(mode) != _OFF)
 
 
-def _start_stream(
-    device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
+def frames_held(settings: AravisCameraSettings) -> int:
+    """Number of frames to hold while the process is delayed."""
+    return _SOCKET_BUFFER_FRAMES + math.ceil(settings.fps * _STALL_S)
+
+
+def start_stream(
+    form: StreamFormat,
+    device: GigeDevice,
+    settings: AravisCameraSettings,
+    camera: str,
+    addresses: tuple[str, str],
 ) -> Stream:
+    """Start the stream of a GigE Vision camera between ``addresses``, our own and the camera's."""
+    own_address, address = addresses
     packet_bytes = device.settle_packet_size(settings.packet_bytes)
     if not MIN_PACKET_BYTES <= packet_bytes <= MAX_PACKET_BYTES:
         raise CameraRefusedError(f"packets of {packet_bytes} bytes: {MIN_PACKET_BYTES} to {MAX_PACKET_BYTES}")
-    image_bytes = settings.height * PIXEL_FORMATS[settings.pixel_format].line_bytes(settings.width)
-    stream_format = StreamFormat(
-        settings.width,
-        settings.height,
-        device.pixel_format(),
-        image_bytes,
-        device.payload_bytes(),
-        packet_bytes,
-        device.ticks_per_s(),
-    )
-    buffer_bytes = (_SOCKET_BUFFER_FRAMES + math.ceil(settings.fps * _STALL_S)) * image_bytes
+    buffer_bytes = frames_held(settings) * form.image_bytes
     try:
         receiving = PacketSocket(own_address, address, packet_bytes, buffer_bytes)
     except OSError as error:
@@ -133,7 +139,7 @@ def _start_stream(
         receiving.close()
         raise
     assembler = Assembler(
-        stream_format,
+        replace(form, packet_bytes=packet_bytes, ticks_per_s=device.ticks_per_s()),
         max_open=_SOCKET_BUFFER_FRAMES + math.ceil(settings.fps * RETENTION_NS * 1e-9),
         resend=settings.resend,
         source_port=source_port,
@@ -141,7 +147,9 @@ def _start_stream(
     return Stream(camera, receiving, assembler, address)
 
 
-def release(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
+def release(
+    device: Device, stream: Stream | UsbDevice | None, lock: threading.Lock, stop: bool, wait: bool
+) -> None:
     """Release a camera in a thread of its own, because one that does not answer takes seven seconds.
 
     This returns control, without effect when it is no longer ours: a controller is identified by its port.
@@ -293,7 +301,7 @@ def _examined(camera: DiscoveredCamera) -> FoundCamera:
     formats = None
     if not in_use:
         with suppress(CameraError, OSError):
-            device = Device(gvcp.own_address_towards(camera.address), camera.address)
+            device = GigeDevice(gvcp.own_address_towards(camera.address), camera.address)
             try:
                 formats = tuple(name for name in device.choices("PixelFormat") if name in PIXEL_FORMAT_NAMES)
             finally:

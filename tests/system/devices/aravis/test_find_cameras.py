@@ -52,5 +52,5 @@ except BadInputError as error:
     print(error)
 """
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert said.startswith("cameras.front: GigE Vision needs Aravis")
+    assert said.startswith("cameras.front: this camera needs Aravis")
     assert "apt-get install python3-gi gir1.2-aravis-0.8, see docs/cameras.md" in said
