@@ -135,7 +135,7 @@ class FakeClock:
     async def settle(self) -> None:
         """Let every task run until it waits, and every thread until it waits for this clock."""
         still = 0
-        while still < _STEPS:  # after a thread's last outcome: its caller may go on to the next call
+        while still < _STEPS:  # after a thread's last outcome: its caller may make the next call
             await asyncio.sleep(0)
             still += 1
             if self._calls or not self._has_threads_waiting:
