@@ -129,7 +129,7 @@ class TemperatureCamera(Camera, Protocol):
 
 @runtime_checkable
 class AutomaticCamera(Camera, Protocol):
-    """A camera that may change its picture by itself."""
+    """A camera that may change its picture automatically."""
 
     @property
     def automatic(self) -> tuple[str, ...]:

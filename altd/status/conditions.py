@@ -49,7 +49,7 @@ class Condition(StrEnum):
     )  # fmt: skip
     CAMERA_AUTOMATIC = (
         "camera_automatic", _MAINTENANCE_REQUIRED,
-        "the camera changes its picture by itself",
+        "the camera changes its picture automatically",
         "accept the automatic mode in the camera's table in the config, or use another camera",
         "automatic exposure, gain, white balance or focus that could not be switched off",
     )  # fmt: skip

@@ -131,7 +131,7 @@ def _automatic(subject: str, camera: V4l2CameraSettings, machine: Machine) -> It
     if on:
         remedy = f"controls = {{ {values} }}   # accepts it, for a camera that cannot do without"
         names = ", ".join(mode.name for mode in on)
-        yield Finding.warning(subject, f"{names}: stays on, so the picture changes by itself", remedy)
+        yield Finding.warning(subject, f"{names}: stays on, so the picture changes automatically", remedy)
 
 
 def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
