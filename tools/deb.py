@@ -269,7 +269,8 @@ def package(root: Path, version: str, extras: Sequence[str], made: datetime) -> 
     _write(doc / "changelog.gz", gzip.compress(entry.encode(), mtime=0))
     _write(doc / "CHANGELOG.md.gz", gzip.compress((ROOT / "CHANGELOG.md").read_bytes(), mtime=0))
     _write(doc / "copyright", (DEBIAN / "copyright").read_text() + _licences(extras))
-    _write(doc / "examples" / "live.toml", (ROOT / "config" / "live.toml").read_text())
+    for name in ("live.toml", "desk.toml"):
+        _write(doc / "examples" / name, (ROOT / "config" / name).read_text())
     _write(share / "lintian" / "overrides" / "altd", (DEBIAN / "lintian-overrides").read_text())
     size_kib = sum(-(-path.lstat().st_size // 1024) for path in root.rglob("*") if not path.is_dir())
     fields = {

@@ -96,6 +96,7 @@ class Daemon:
         )
         identity = Identity.drawn(config.unit.serial)
         facts = UnitFacts(
+            kind="desk" if config.unit.kind == "desk" else "",
             version=__version__,
             serial=config.unit.serial,
             unit_number=f"{identity.unit:08X}",
@@ -173,7 +174,8 @@ class Daemon:
         if geometry is None or not isinstance(self.chain, MeasuringChain):
             self.unit.self_check.unavailable = "this instrument has no frame LEDs"
             return None
-        if why := why_unchecked(geometry.calibration, self._cameras, self.lamps is not None):
+        is_desk = self.config.unit.kind == "desk"
+        if why := why_unchecked(geometry.calibration, self._cameras, self.lamps is not None, is_desk):
             self.unit.self_check.unavailable = why
             return None
         views, locators = views_of(self.config), self.chain.locators

@@ -22,8 +22,12 @@ from altd.ports import Camera, Clock
 _USUAL_FPS = 20.0
 
 
-def why_unchecked(calibration: Calibration, cameras: Mapping[str, Camera], has_lamps: bool) -> str:
+def why_unchecked(
+    calibration: Calibration, cameras: Mapping[str, Camera], has_lamps: bool, is_desk: bool = False
+) -> str:
     """Return why a unit cannot check itself, as text; empty: it can."""
+    if not has_lamps and is_desk:
+        return "does not apply to a desk unit: it has no frame LEDs"
     if not has_lamps:
         return "the settings have no [lamps]: there are no frame LEDs to be switched"
     if any(camera.playback for camera in cameras.values()):

@@ -164,7 +164,10 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
         device = os.path.normpath(camera.device) if isinstance(camera.device, Path) else camera.device
         for key, value in (("device", device), ("serial", camera.serial)):
             if value is not None and (other := first.setdefault((key, value), name)) != name:
-                text = f"{shown(value)} is already the {key} of camera {shown(other)}; choose another camera"
+                instead = "choose another camera"
+                if key == "serial" and isinstance(camera.device, Path):
+                    instead += ", or leave serial out of both: device below /dev/v4l/by-path is one port"
+                text = f"{shown(value)} is already the {key} of camera {shown(other)}; {instead}"
                 yield Fault(("cameras", name, key), text, about=(("cameras", other, key),))
 
 

@@ -31,6 +31,9 @@ class Unit(Table):
     instrument: Literal["beam", "chain", "planar"] = "beam"
     """`beam`: the Active Laser Target; `chain`: a row of switched glass targets (`chain.md`); `planar`: one
     camera before a plate with LEDs (`planar.md`)."""
+    kind: Literal["machine", "desk"] = "machine"
+    """`desk`: a unit of webcams on a desk (`desk.md`), named so in status, page and identification; checks of
+    parts that it does not have do not apply. No limit differs."""
 
 
 class RowSettings(Table):

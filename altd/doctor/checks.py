@@ -41,6 +41,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
     if config is None or place is None:
         return general | {"devices": lambda: found_devices(machine)}
     return general | {
+        "desk unit": lambda: system.desk(config),
         "calibration": lambda: system.calibration(config, place),
         **{
             driver.heading: partial(driver.check, tables, machine)

@@ -31,9 +31,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
         return
     path = settings.file or Path(STATE, FILE_NAME)
     if settings.file is None and machine.service() is None:
-        yield Finding.warning(
-            subject, "none configured, and no service is installed", "[history] file = PATH in the config"
-        )
+        yield _nowhere(subject, "[history] file = PATH in the config", config)
         return
     if (refused := _folder(subject, path.parent, machine)) is not None:
         yield refused
@@ -58,11 +56,7 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
         return
     folder = settings.folder or Path(STATE, RECORDINGS)
     if settings.folder is None and machine.service() is None:
-        yield Finding.warning(
-            subject,
-            "none configured, and no service is installed",
-            "[kept_frames] folder = PATH in the config",
-        )
+        yield _nowhere(subject, "[kept_frames] folder = PATH in the config", config)
         return
     if (refused := _folder(subject, folder, machine, made_by_altd=True)) is not None:
         yield refused
@@ -75,11 +69,7 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
 def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
     """Check the socket of ``altd status``, ``altd watch`` and ``altd selfcheck``."""
     if config.local is None and machine.service() is None:
-        yield Finding.warning(
-            "local socket",
-            "none configured, and no service is installed",
-            "[local] socket = PATH in the config",
-        )
+        yield _nowhere("local socket", "[local] socket = PATH in the config", config)
         return
     path = SERVICE_SOCKET if config.local is None else config.local.socket
     subject = f"local socket {path}"
@@ -109,6 +99,14 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
             yield Finding.warning(subject, f"{machine.account.name} may not open it", remedy)
         else:
             yield Finding.good(subject, "the daemon answers")
+
+
+def _nowhere(subject: str, remedy: str, config: Config) -> Finding:
+    """Return the finding for data without a place: only a machine's unit must have one."""
+    why = "none configured, and no service is installed"
+    if config.unit.kind == "desk":
+        return Finding.skipped(subject, f"{why}: not required of a desk unit; possible: {remedy}")
+    return Finding.warning(subject, why, remedy)
 
 
 def _folder(subject: str, folder: Path, machine: Machine, *, made_by_altd: bool = False) -> Finding | None:

@@ -142,6 +142,19 @@ def calibration(config: Config, place: Path) -> Iterator[Finding]:
             yield Finding.good("calibration", text)
 
 
+def desk(config: Config) -> Iterator[Finding]:
+    """Name the parts that a desk unit does without; those that it has are checked as any unit's."""
+    parts = {
+        "frame LEDs and self-check": config.lamps,
+        "lamps on the housing": config.indicators,
+        "inclinometer": config.inclinometer,
+        "thermometers": config.thermometers,
+    }
+    lacking = [name for name, table in parts.items() if not table]
+    if config.unit.kind == "desk" and lacking:
+        yield Finding.skipped("desk unit", f"does not apply: {', '.join(lacking)}")
+
+
 def now() -> datetime:
     """The computer's UTC."""
     return datetime.fromtimestamp(time.time(), UTC)

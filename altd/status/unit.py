@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from typing import Literal
 
 from altd.records import Measurement, Quantities
 from altd.status.answer import Answer
@@ -28,6 +29,8 @@ from altd.status.zero import Zero, ZeroState
 class UnitFacts(Answer):
     """Constants of a unit; empty: not known."""
 
+    kind: Literal["", "desk"] = ""
+    """`desk`: a unit on a desk, which steers no machine; absent: a machine's unit."""
     version: str = ""
     serial: str = ""
     unit_number: str = ""
@@ -46,6 +49,11 @@ class UnitFacts(Answer):
     def known(self) -> dict[str, str]:
         """Known facts by name."""
         return self.model_dump(exclude_defaults=True)
+
+    @property
+    def product(self) -> str:
+        """Name of the product in identifications."""
+        return "Active Laser Target on a desk" if self.kind else "Active Laser Target"
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,8 +117,13 @@ def status_text(
     return "\n".join(line for part in parts for line in part)
 
 
+def of_desk(status: StatusDocument) -> str:
+    """Return the words after the serial number of a unit on a desk; empty: a machine's unit."""
+    return " on a desk" if status.kind == "desk" else ""
+
+
 def _unit(status: StatusDocument) -> Iterator[str]:
-    unit = f"{status.serial}, altd {status.version}, calibration {status.calibration}"
+    unit = f"{status.serial}{of_desk(status)}, altd {status.version}, calibration {status.calibration}"
     yield from hanging("unit", unit, WIDTH, _INDENT)
     state = status.state
     yield from hanging("state", f"{state_text(state.signal)} for {duration(state.for_s)}", WIDTH, _INDENT)

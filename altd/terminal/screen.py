@@ -16,6 +16,7 @@ from altd.terminal.lines import (
     cause_text,
     hanging,
     number_text,
+    of_desk,
     self_check_text,
     state_text,
     verdict_text,
@@ -90,7 +91,8 @@ def _head(canvas: Canvas, moment: Moment) -> None:
     if status is None:
         canvas.put(0, 0, "the unit's state is not known", Style.BAD)
     else:
-        text = f"{status.serial}  {state_text(status.state.signal)} for {duration(status.state.for_s)}"
+        state = status.state
+        text = f"{status.serial}{of_desk(status)}  {state_text(state.signal)} for {duration(state.for_s)}"
         canvas.put(0, 0, text, _STYLES.get(status.state.signal, Style.WARNING))
         version = f"altd {status.version}"
         if len(text) + 2 + len(version) <= canvas.columns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,13 +77,20 @@ def _camera_at(device: Path, path: Path) -> FoundCamera | None:
 
 def lines() -> Iterator[str]:
     """Yield the cameras of this machine for ``altd devices``."""
-    for found in find_cameras():
+    cameras = list(find_cameras())
+    serials = Counter(found.serial for found in cameras if isinstance(found, FoundCamera))
+    for found in cameras:
         yield f'  device = "{found.path}"'
         if isinstance(found, UnreadableCamera):
             yield from details(f"cannot be read: {found.why}")
             continue
         yield from details(f"{found.card}, kernel driver {found.driver}")
-        if found.serial is not None:
+        if found.serial is None:
+            yield from details("no serial number: known by its port, the device above")
+        elif serials[found.serial] > 1:
+            same = f"serial number {found.serial}, as another camera"
+            yield from details(f"{same}: known by its port, the device above")
+        else:
             yield f'  serial = "{found.serial}"'
         for pixel_format, there in found.formats.items():
             yield from details(f'pixel_format = "{pixel_format}": {", ".join(map(str, there))}')
@@ -100,6 +108,11 @@ def check(cameras: Mapping[str, V4l2CameraSettings], machine: Machine) -> Iterat
     for name, camera in cameras.items():
         yield from check_node(f"camera {name} {camera.device}", camera.device, _NAMES, machine)
         yield from _automatic(f"camera {name} {camera.device}", camera, machine)
+        has_port = _BY_PATH in camera.device.parents
+        if camera.serial is None and not has_port and machine.status(camera.device) is not None:
+            text = "names neither a port nor a serial: after a restart it may be another camera"
+            remedy = f"ls -l {_BY_PATH}   # device = one of these"
+            yield Finding.warning(f"camera {name} {camera.device}", text, remedy)
         bus = _usb_bus(camera.device, machine)
         if bus is not None:
             number, speeds[bus[0]] = bus

@@ -58,8 +58,8 @@ _REQUEST = struct.Struct(">BHH")
 READ_DEVICE_IDENTIFICATION = 43
 MEI_TYPE = 14
 
-OBJECTS = {0: "altd", 1: "ALT", 2: __version__, 4: "Active Laser Target"}
-"""Vendor, product code, version and product name, by object id."""
+OBJECTS = {0: "altd", 1: "ALT", 2: __version__, 4: UnitFacts().product}
+"""Vendor, product code, version and product name of a machine's unit, by object id."""
 
 SERIAL, CALIBRATION_DATE, CALIBRATION_CHECKSUM = 0x80, 0x81, 0x82
 """Ids of the unit's objects in the extended category; with the others they fit into one response."""
@@ -76,6 +76,7 @@ def objects_of(view: UnitView) -> Mapping[int, bytes]:
     """Return the objects of function 43/14, as ASCII; unknown ones are absent."""
     calibration = view.calibration_identity
     texts = OBJECTS | {
+        4: view.facts.product,
         SERIAL: view.facts.serial,
         CALIBRATION_DATE: (calibration.created or "")[: len("2026-11-02")],
         CALIBRATION_CHECKSUM: calibration.checksum,

@@ -15,6 +15,7 @@ from altd.instruments.row.measurement import MEASURED
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics
 from altd.reasons import NOT_FROM_CAMERAS, Reason, Signal
 from altd.records import Quantities
+from altd.status.unit import UnitFacts
 from altd.tcp_port import address_of, is_loopback
 
 EXPIRE_AFTER_S = 5
@@ -64,6 +65,7 @@ def discovery_of(  # noqa: PLR0913  facts of the unit
     *,
     page: str | None = None,
     is_rehearsal: bool = False,
+    product: str = UnitFacts().product,
 ) -> dict[str, Any]:
     """Return the device-based discovery message, retained at ``discovery_topic``.
 
@@ -112,7 +114,7 @@ def discovery_of(  # noqa: PLR0913  facts of the unit
         "ids": [identifier],
         "name": f"Laser target {serial}",
         "mf": "altd",
-        "mdl": "Active Laser Target",
+        "mdl": product,
         "sn": serial,
         "sw": version,
     }

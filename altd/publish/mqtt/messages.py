@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Self
+from typing import Any, Literal, Self
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field, create_model
@@ -48,6 +48,7 @@ def birth_of(view: UnitView) -> dict[str, Any]:
         "time": _text(view.utc),
         "serial": view.facts.serial or None,
         "version": view.facts.version or None,
+        **({"kind": view.facts.kind} if view.facts.kind else {}),
         "instrument": view.quantities.instrument,
         "calibration": view.calibration_identity.as_object(),
         "targets": [target.name for target in view.targets],
@@ -158,6 +159,8 @@ class Birth(_Checked):
     serial: str | None
     version: str | None
     """Version of the program."""
+    kind: Literal["desk"] | None = None
+    """`desk`: a unit on a desk; absent: a machine's unit."""
     instrument: str
     """Kind of unit."""
     calibration: Calibration

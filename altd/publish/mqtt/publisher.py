@@ -114,6 +114,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._unit.facts.version,
             page=page_url(self._http(), broker.own_address),
             is_rehearsal=self._board.is_rehearsal,
+            product=self._unit.facts.product,
         )
         config = discovery_topic(prefix, self._identifier)
         await self._send(broker, config, json.dumps(device), expiry_s=DISCOVERY_EXPIRY_S, retain=True)

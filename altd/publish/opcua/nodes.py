@@ -18,7 +18,6 @@ from altd.publish.opcua.types import (
     DEVICE_HEALTH_ENUMERATION,
     DEVICE_SET,
     HEALTH_MEANING,
-    MODEL,
     OF_JOINT,
     TYPE,
     VARIABLES,
@@ -117,7 +116,7 @@ class UnitNodes(TypeNodes):
             await self._server.get_node(source).add_reference(target, kind, forward=True)
         for name, value in (
             ("Manufacturer", ua.LocalizedText("")),
-            ("Model", ua.LocalizedText(MODEL)),
+            ("Model", ua.LocalizedText(start.product)),
             ("SerialNumber", start.serial),
             ("SoftwareRevision", start.version),
             ("HardwareRevision", ""),

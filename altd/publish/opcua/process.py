@@ -32,7 +32,6 @@ from altd.publish.opcua.server import OpcUaServer
 from altd.publish.opcua.sessions import caller
 from altd.publish.opcua.standard import fill_standard_nodes
 from altd.publish.opcua.start import Start
-from altd.publish.opcua.types import MODEL
 
 NICE = 10
 MAX_MEMORY_BYTES = 384 << 20
@@ -68,7 +67,7 @@ class ServedUnit:
         start, server, settings = self._start, self.server, self._start.settings
         await server.init()
         await server.set_application_uri(f"urn:altd:{quote(start.serial, safe='')}")
-        server.name, server.product_uri = f"{MODEL} {start.serial}", "urn:altd"
+        server.name, server.product_uri = f"{start.product} {start.serial}", "urn:altd"
         server.application_type = ua.ApplicationType.Server
         now = ua.get_win_epoch()
         await server.set_build_info(server.product_uri, "", "altd", start.version, "", now)

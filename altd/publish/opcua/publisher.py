@@ -184,6 +184,7 @@ class OpcUaPublisher:
             settings=self._settings,
             port=self.port,
             serial=view.facts.serial,
+            product=view.facts.product,
             version=view.facts.version,
             session=f"{view.identity.session or 0:08X}",
             started_ns=view.now_ns - view.running_ns,

@@ -26,6 +26,7 @@ class Start:
     settings: OpcUaSettings
     port: int
     serial: str
+    product: str
     version: str
     session: str
     started_ns: int

@@ -16,7 +16,6 @@ from altd.records import Quantity
 
 UNIT_NAMESPACE = "urn:altd:unit"
 DI_NAMESPACE = "http://opcfoundation.org/UA/DI/"
-MODEL = "Active Laser Target"
 TYPE = "ActiveLaserTargetType"
 
 UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"

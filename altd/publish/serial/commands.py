@@ -29,7 +29,7 @@ from altd.selfcheck.records import Verdict
 from altd.status.services import SelfCheckReport
 from altd.status.unit import PublishedUnit, UnitFacts, UnitView
 
-_MAKER, _KIND = "altd", "Active Laser Target"
+_MAKER = "altd"
 _SUMMARY_BIT = 6
 _NOT_VALID_BIT = 7
 _BIT_OF_SIGNAL = {
@@ -64,7 +64,7 @@ NO_TEST = 4
 
 def identification(facts: UnitFacts) -> str:
     """Maker, kind, serial number and version, separated by commas (10.14)."""
-    return ",".join(map(_field, (_MAKER, _KIND, facts.serial or "0", facts.version or "0")))
+    return ",".join(map(_field, (_MAKER, facts.product, facts.serial or "0", facts.version or "0")))
 
 
 def status_byte(view: UnitView) -> int:

@@ -77,8 +77,9 @@ class Console:
 
     def welcome(self) -> bytes:
         """The welcome message and the first prompt."""
-        serial = self.unit.facts.serial or "of unknown serial number"
-        return b"\r\n" + _on_wire(f"Active Laser Target {serial}. Type help and press Enter.") + PROMPT
+        facts = self.unit.facts
+        serial = facts.serial or "of unknown serial number"
+        return b"\r\n" + _on_wire(f"{facts.product} {serial}. Type help and press Enter.") + PROMPT
 
     def feed(self, data: bytes) -> bytes:
         """Process typed bytes; return the echo and the answers."""

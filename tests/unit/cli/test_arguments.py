@@ -157,13 +157,14 @@ class TestWithoutAConfig:
         assert "other.toml: No such file" in told(tmp_path / "altd.toml", arguments)
 
 
-def test_the_shipped_config_passes_its_own_check() -> None:
+@pytest.mark.parametrize(("name", "serial"), [("live", "ALT-0001"), ("desk", "DESK-1")])
+def test_the_shipped_configs_pass_their_own_check(name: str, serial: str) -> None:
     """In a fresh clone, without a calibration beside it; and that is reported."""
-    shipped = ROOT / "config" / "live.toml"
+    shipped = ROOT / "config" / f"{name}.toml"
     outcome = altd_here("check-config", shipped)
     assert (outcome.status, outcome.err) == (0, "")
     good, missing = outcome.out.splitlines()
-    assert good == f"{shipped}: good: unit ALT-0001, 2 targets"
+    assert good == f"{shipped}: good: unit {serial}, 2 targets"
     assert missing.startswith(f"{shipped}: unit.calibration: ")
     refused = altd_here("run", "--config", shipped)
     assert refused.status == 2

@@ -21,8 +21,8 @@ serial = «""                         # "" is too short; possible: text, 1 to 64
 serial = «"A\u001b[2J\u202e\nB"      # A\x1b[2J\u202e\nB has a character that is not printable
 calibration = «3                     # 3 is not a path
 instrument = «"row"                  # possible:
-«colour = 3                          # no such key; possible: calibration, instrument, serial
-«serail = "TEST-1"; -serial          # no such key; possible: calibration, instrument, serial; did you
+«colour = 3                          # no such key; possible: calibration, instrument, kind, serial
+«serail = "TEST-1"; -serial          # no such key; possible: calibration, instrument, kind, serial; did you
 [targets.0]
 name = «"Front"                      # has characters that are not allowed
 z_mm = «nan                          # nan is not a finite number

@@ -13,6 +13,7 @@ import altd.devices
 from altd.config import Config, Measuring, Table, load_config
 from altd.devices.settings import DeviceTable
 from altd.errors import BadInputError
+from altd.records import CameraIdentity
 
 GOOD = played_toml("cal.json", "rec")
 
@@ -36,10 +37,28 @@ def test_paths_are_relative_to_the_config_file(tmp_path: Path) -> None:
     assert config.cameras["rear"].path == tmp_path / "rec"
 
 
-def test_the_shipped_config_is_good() -> None:
-    config = load_config(ROOT / "config" / "live.toml")
+@pytest.mark.parametrize("kind", ["machine", "desk"])
+def test_the_shipped_configs_are_good(kind: str) -> None:
+    config = load_config(ROOT / "config" / ("live.toml" if kind == "machine" else "desk.toml"))
     assert [target.name for target in config.targets] == ["front", "rear"]
     assert config.measuring.pair_by == "time"
+    assert config.unit.kind == kind
+
+
+def test_cameras_of_one_serial_number_are_told_apart_by_their_ports(tmp_path: Path) -> None:
+    """Makers of webcams give many the same number; the answer to two tables with it names the way out."""
+    cameras = "".join(
+        f'[cameras.{name}]\ndriver = "v4l2"\ndevice = "/dev/v4l/by-path/usb-{port}"\nserial = "0001"\n'
+        for port, name in enumerate(("front", "rear"))
+    )
+    head = GOOD[: GOOD.index("[cameras")]
+    said = complaint(write(tmp_path, head + cameras))
+    assert '"0001" is already the serial of camera "front"' in said
+    assert said.endswith("or leave serial out of both: device below /dev/v4l/by-path is one port")
+    config = load_config(write(tmp_path, head + cameras.replace('serial = "0001"\n', "")))
+    assert [camera.serial for camera in config.cameras.values()] == [None, None]
+    sent = CameraIdentity("0001", "Webcam", "v4l2")
+    assert not sent.difference_from(CameraIdentity(None, "Webcam", "v4l2")), "none is refused for lacking one"
 
 
 def test_modbus_has_the_port_of_its_specification_and_its_files_lie_beside_the_config(tmp_path: Path) -> None:

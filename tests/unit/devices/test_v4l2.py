@@ -5,6 +5,7 @@ With the kernel's test drivers: ``tests/system/devices/v4l2``.
 
 import ctypes
 import errno
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -298,3 +299,18 @@ def test_a_stamp_of_an_unknown_clock_counts_only_when_it_can_be_the_monotonic_on
     clock: str, stamp_ns: int, taken_ns: int
 ) -> None:
     assert middle_of_exposure_ns(stamp_ns, clock, Stamp.END_OF_FRAME, None, NOW_NS) == taken_ns
+
+
+def test_cameras_that_no_serial_number_tells_apart_are_listed_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A copied `serial` of two cameras would be refused."""
+    serials = "0001", "0001", None, "A7"
+    cameras = [
+        find_cameras.FoundCamera(Path(f"/dev/v4l/by-path/{n}"), "Webcam", "uvcvideo", serial, {}, ())
+        for n, serial in enumerate(serials)
+    ]
+    monkeypatch.setattr(find_cameras, "find_cameras", lambda: iter(cameras))
+    said = "\n".join(find_cameras.lines())
+    assert re.findall(r'serial = "(.*)"', said) == ["A7"]
+    assert said.count("known by its port") == 3

@@ -216,6 +216,8 @@ def test_one_camera_by_two_of_its_names(tree: Tree, terminal: Path) -> None:
     }
     findings = driver_findings(configured(cameras=cameras), tree)
     assert says(findings, Verdict.ERROR, "is the same device as front").subject == "camera rear"
+    may_change = says(findings, Verdict.WARNING, "after a restart it may be another camera")
+    assert may_change.subject == "camera front /dev/video0", "the other one is named by its port"
 
 
 class TestGpioLines:

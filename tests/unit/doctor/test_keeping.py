@@ -70,6 +70,9 @@ class TestFolders:
         config = configured()
         for check in (keeping.history, keeping.recordings, keeping.local_socket):
             assert says(list(check(config, tree.machine)), Verdict.WARNING, "no service is installed").remedy
+            unit = {"serial": "D-1", "calibration": "/nowhere/calibration.json", "kind": "desk"}
+            findings = list(check(configured(unit=unit), tree.machine))
+            assert says(findings, Verdict.SKIPPED, "not required of a desk unit; possible: [")
 
     def test_what_is_off_is_no_fault(self, tree: Tree) -> None:
         config = configured(history={"enabled": False}, kept_frames={"memory_mb": 0})

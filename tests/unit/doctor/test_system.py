@@ -138,6 +138,17 @@ class TestClock:
         assert system.clock_is_kept() == {0: True, 1: False, 2: None}[status]
 
 
+def test_a_desk_unit_is_not_asked_for_parts_that_it_lacks() -> None:
+    unit = {"serial": "D-1", "calibration": "/nowhere/calibration.json", "kind": "desk"}
+    (finding,) = system.desk(configured(unit=unit))
+    assert finding.verdict is Verdict.SKIPPED
+    assert finding.text.startswith("does not apply: frame LEDs and self-check, ")
+    lamps = {"driver": "gpiod", "chip": "board", "lines": ["LED1", "LED2"]}
+    (finding,) = system.desk(configured(unit=unit, lamps=lamps))
+    assert "frame LEDs" not in finding.text, "those that it has are checked"
+    assert list(system.desk(configured())) == []
+
+
 def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     assert says(list(system.disk(tree.machine)), Verdict.GOOD, "GB free")
     monkeypatch.setattr(system, "MIN_FREE_BYTES", 1 << 62)

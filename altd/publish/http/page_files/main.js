@@ -75,12 +75,13 @@ function Page() {
   }, []);
   const { measurement, status } = known, verdict = verdictOf(known), unit = useRef("");
   const latest = status ?? known.last?.status, zone = latest?.time_zone;
+  const product = latest?.kind === "desk" ? "Active Laser Target on a desk" : "Active Laser Target";
   unit.current = latest?.serial ?? unit.current;  // data of one unit is not kept for another at its address
   const mayLook = session && (!session.login || session.name !== null);  // null: not known
-  useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
+  useEffect(() => { document.title = `${product} ${status?.serial ?? ""}`; }, [product, status?.serial]);
   return html`
     <header>
-      <h1>Active Laser Target <span id="serial">${unit.current}</span></h1>
+      <h1>${product} <span id="serial">${unit.current}</span></h1>
       <div class="now"><div id="verdict" class=${verdict.kind}>${verdict.text}</div><${Badge} status=${status} />
         <p id="cause" role="status"><${Worst} ...${known} /></p></div>
       <nav aria-label="views">${Object.entries(VIEWS).map(([name, title]) => html`<a key=${name} href=${`#${name}`}

@@ -23,14 +23,18 @@ from support.status_fixtures import figures_of
 from altd.history.history import History
 from altd.history.outbox import Outbox
 from altd.history.store import Store
+from altd.publish.modbus.responder import objects_of
+from altd.publish.mqtt.home_assistant import discovery_of
 from altd.publish.mqtt.messages import Topics, birth_of, schema_of, summary_of
 from altd.publish.mqtt.sparkplug import measurement_metrics
+from altd.publish.serial.commands import identification
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.records.spots import Motion
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.measurement_json import checked_line, with_proof
+from altd.status.models import status_of
 from altd.status.outbox import acknowledgement_of
 from altd.status.proof import Stamps
 from altd.status.unit import PublishedUnit
@@ -190,3 +194,27 @@ def test_a_birth_names_unit_calibration_and_quantities(
     assert (birth["serial"], birth["version"]) == ("ALT-0007", "0.1.0")
     assert birth["calibration"] == {"created": "2026-11-02", "checksum": "sha256:1", "simulated": True}
     assert birth["quantities"]["yaw_deg"]["unit"] == "°"
+
+
+def test_every_identification_tells_a_desk_unit_from_that_of_a_machine(
+    board: Board, published: PublishedUnit
+) -> None:
+    def found() -> tuple[object, ...]:
+        view = published.view()
+        about = Topics.of("altd", "D-1"), "altd_1", "D-1", "0.1.0"
+        device = discovery_of(view.quantities, *about, product=view.facts.product)
+        return (
+            status_of(view).as_object().get("kind"),
+            birth_of(view).get("kind"),
+            device["dev"]["mdl"],
+            objects_of(view)[4].decode(),
+            identification(view.facts).split(",")[1],
+        )
+
+    name = "Active Laser Target"
+    assert found() == (None, None, name, name, name)
+    published.facts = published.facts.model_copy(update={"kind": "desk"})
+    of_desk = f"{name} on a desk"
+    assert found() == ("desk", "desk", of_desk, of_desk, of_desk)
+    message = json.loads(with_proof(birth_of(published.view()), board, Stamps(board, "mqtt").next()))
+    Draft202012Validator(schema_of(board.quantities)).validate(message)
