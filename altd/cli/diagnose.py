@@ -19,6 +19,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="archive to write (default: altd-SERIAL-TIME.zip)"
     )
+    parser.add_argument(
+        "--public",
+        action="store_true",
+        help="archive for a public issue, without names and addresses",
+    )
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        metavar="DIR",
+        help="with --public: ten pictures of this recording",
+    )
+    parser.add_argument(
+        "--verification",
+        type=Path,
+        metavar="FILE",
+        help="with --public: a file of `altd verify -o`",
+    )
+    parser.add_argument("--yes", action="store_true", help="with --public: do not ask")
     parser.add_argument("--no-journal", action="store_true", help="leave out the log of altd")
 
 
@@ -28,6 +46,11 @@ def run(options: argparse.Namespace) -> int:
     from altd.files.writing import write_file
     from altd.status.unit import DiagnosticPart
 
+    if options.public:
+        return _public(options)
+    for option, value in (("--recording", options.recording), ("--verification", options.verification)):
+        if value is not None:
+            raise BadInputError(option, "requires --public")
     name, content, _ = diagnose(
         options.config,
         options.socket,
@@ -38,6 +61,31 @@ def run(options: argparse.Namespace) -> int:
     write_file(output := options.output or Path(name), content)
     print_lines(str(output))
     return 0
+
+
+def _public(options: argparse.Namespace) -> int:
+    """Write the archive for a public issue, if the user agrees; return 1 if not."""
+    from altd.app.public_archive import CONSENT, public_archive
+    from altd.app.settings import SERVICE_CONFIG, load_settings
+    from altd.files.writing import write_file
+
+    config = load_settings(options.config or SERVICE_CONFIG)
+    name, content = public_archive(config, options.recording, options.verification)
+    print_errors(*CONSENT)
+    if not options.yes and not _agrees():
+        print_errors("altd diagnose: nothing is written")
+        return 1
+    write_file(output := options.output or Path(name), content)
+    print_lines(str(output))
+    return 0
+
+
+def _agrees() -> bool:
+    """Ask for consent; the end of input counts as no."""
+    try:
+        return input("Write it? (y: yes) ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
 
 
 def _doctor(place: Path | None) -> bytes:

@@ -233,6 +233,8 @@ def _cut(content: bytes) -> bytes:
 def _readme(serial: str, now: datetime, said: Sequence[str], missing: Sequence[str]) -> bytes:
     has_log = any(line.startswith(f"{JOURNAL}: ") for line in said)
     without = "and no picture" if has_log else _WITHOUT_LOG
+    if any(line.startswith("pictures/") for line in said):
+        without = "and no log"
     lines = [
         f"Diagnostics of the unit {serial or 'of unknown serial number'}, made at "
         f"{now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, token or key, {without}.",
