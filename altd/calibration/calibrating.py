@@ -21,10 +21,9 @@ from altd.calibration.target_frames import TargetFrames, target_frames
 from altd.errors import BadInputError
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.recording.header import RecordingHeader
 from altd.recording.reader import Recording
 from altd.records import FloatArray, Limits
-from altd.records.limits import LIMIT_KEYS
+from altd.records.limits import LIMIT_KEYS, NO_LIMITS
 
 
 def calibrate(
@@ -55,7 +54,10 @@ def calibrate(
     of_scans = calibrate_scans(scanned, flats, progress)
     if service is not None:
         of_scans = with_service(scanned, of_scans, service, progress)
-    limits = _limits(headers)
+    plates = [frames.plate for frames in targets if frames.kind == "plate"]
+    limits = _limits([header.limits for header in headers if header.limits] + [of.limits for of in plates])
+    if limits != NO_LIMITS and plates:
+        limits = _of_plates(limits, targets)
     celsius = [header.temperature_c for header in headers if header.temperature_c is not None]
     if turned:
         tilt = beam_tilt(of_scans.targets, turned, progress)
@@ -83,7 +85,7 @@ def calibrate(
             *cross_check_doubts(calibration.targets),
             *of_scans.doubts,
             *of_plates.doubts,
-            *_zero_doubts(targets),
+            *(_zero_doubts(targets) if limits.plate_mm is None else ()),
         ),
         of_scans.remarks + of_plates.remarks,
     )
@@ -103,11 +105,26 @@ def _by_turn(scanned: Sequence[TargetFrames]) -> tuple[list[TargetFrames], list[
     return as_it_is, turned
 
 
-def _limits(scans: Sequence[RecordingHeader]) -> Limits:
-    """Limits that the scans state; the larger value if several state the same one."""
-    stated = [scan.limits for scan in scans if scan.limits is not None]
+def _limits(stated: Sequence[Limits]) -> Limits:
+    """Limits that scans and plates state; the larger value if several state the same one."""
     of_all = {key: [sigma for of in stated if (sigma := getattr(of, key)) is not None] for key in LIMIT_KEYS}
     return Limits(**{key: max(sigmas) for key, sigmas in of_all.items() if sigmas})
+
+
+def _of_plates(limits: Limits, targets: Sequence[TargetFrames]) -> Limits:
+    """Limits with the zero of yaw and pitch, which is uncertain by the places of two plates.
+
+    Raises BadInputError unless one scale holds for all targets.
+    """
+    plates = [frames.plate for frames in targets if frames.kind == "plate"]
+    stated = {plate.limits for plate in plates}
+    if stated != {NO_LIMITS} and (len(plates) < len(targets) or len(stated) > 1):
+        why = "a plate states its uncertainty: show the same plate on all targets, with the same statement"
+        raise BadInputError(targets[0].place, why)
+    if limits.plate_mm is None or len(targets) < 2:
+        return limits
+    apart_mm = targets[-1].z_mm - targets[0].z_mm
+    return replace(limits, beam_normal_mm_per_m=1e3 * math.sqrt(2) * limits.plate_mm / apart_mm)
 
 
 def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:

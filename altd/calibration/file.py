@@ -44,7 +44,7 @@ from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration, CalibrationFile, TargetCalibration
 from altd.recording.header import RecordingHeader
 from altd.records import GLASS_INDEX, CameraIdentity, Glass, Limits, Origin, utc_text
-from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
+from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, MAX_SCALE_PPM, NO_LIMITS, PLATE_KEYS
 from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 MAX_BYTES = 1 << 26
@@ -101,7 +101,8 @@ _Limits = Annotated[
     table_of(
         Limits,
         **dict.fromkeys(LIMIT_KEYS, _Limit)
-        | {"temperature_k": (Annotated[_Limit, At("temperature_k", or_absent=True)], None)},
+        | {"stage_scale_ppm": Annotated[float, Field(ge=0, le=MAX_SCALE_PPM)] | None}
+        | {key: (Annotated[_Limit, At(key, or_absent=True)], None) for key in ("temperature_k", *PLATE_KEYS)},
     ),
 ]
 

@@ -18,6 +18,7 @@ from altd.process.standard_streams import print_errors
 from altd.recording.frames_table import JOINT_COLUMNS, POSE_COLUMNS
 
 if TYPE_CHECKING:
+    from altd.config import Config
     from altd.recording.header import PlateHeader
 
 SUMMARY = "record frames of the cameras, to replay, calibrate or check"
@@ -37,8 +38,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plate",
         type=_plate,
-        metavar="C,R,MM",
-        help="columns, rows and pitch of the plate's LEDs; needed with `--kind plate`",
+        metavar="C,R,MM[,SIGMA_MM]",
+        help="columns, rows and pitch of the plate's LEDs, and its sigma; needed with `--kind plate`",
+    )
+    parser.add_argument(
+        "--placed",
+        type=partial(_numbers, "placing", {"sigma_mm": 100.0, "sigma_deg": 30.0, "camera_mm": 1e5}),
+        metavar="MM,DEG,CAMERA_MM",
+        help="sigma of the plate's place and angle on the target, and the camera's distance",
+    )
+    parser.add_argument(
+        "--target",
+        metavar="NAME",
+        help="record only the camera of this target, where the plate is (default: plates on all targets)",
     )
     stated = parser.add_mutually_exclusive_group()
     stated.add_argument(
@@ -69,7 +81,13 @@ def run(options: argparse.Namespace) -> int:
             if options.plate is None
             else "requires `--kind plate`",
         )
+    if options.placed:
+        options.plate = _placed(options.plate, options.placed)
     config = load_settings(options.config)
+    if options.target is not None:
+        if options.plate is None:
+            raise BadInputError("--target", "requires `--kind plate`")
+        config = _only(config, options.target)
     show, kept = progress_on("exposures"), 0
 
     def progress(done: int, planned: int) -> None:
@@ -94,6 +112,15 @@ def run(options: argparse.Namespace) -> int:
             return 1
     print_errors(f"{counted(exposures, 'exposure')} in {options.output}")
     return 0
+
+
+def _only(config: Config, name: str) -> Config:
+    """Return the config with one target and its camera; raises BadInputError."""
+    targets = {target.name: target for target in config.targets}
+    if (target := targets.get(name)) is None:
+        raise BadInputError("--target", f"there is no {name!r}; possible: {', '.join(targets) or 'none'}")
+    cameras = {target.camera: config.cameras[target.camera]}
+    return config.model_copy(update={"targets": (target,), "cameras": cameras})
 
 
 def _seconds(text: str) -> float:
@@ -125,15 +152,31 @@ def _plate(text: str) -> PlateHeader:
     from altd.recording.header import PlateHeader
 
     try:
-        columns, rows, pitch_mm = text.split(",")
+        columns, rows, pitch_mm, *sigma_mm = text.split(",")
         steps_x, steps_y, step_mm = int(columns) - 1, int(rows) - 1, float(pitch_mm)
         return PlateHeader(
             columns=steps_x + 1,
             rows=steps_y + 1,
             pitch_mm=step_mm,
             origin_mm=(-steps_x / 2 * step_mm, -steps_y / 2 * step_mm),
+            pitch_sigma_mm=float(*sigma_mm) if sigma_mm else None,
         )
-    except (ValueError, ValidationError):
+    except (TypeError, ValueError, ValidationError):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not a plate; possible: COLUMNS,ROWS,PITCH_MM such as 7,5,25, at least 4 × 4"
+            f"{text!r} is not a plate; possible: COLUMNS,ROWS,PITCH_MM such as 7,5,25, at least 4 × 4; "
+            "with the pitch's standard uncertainty such as 7,5,25,0.05, at most a twentieth of it"
         ) from None
+
+
+def _placed(plate: PlateHeader | None, stated: Mapping[str, float]) -> PlateHeader:
+    """Return the plate with the statement how well it lies on the target."""
+    from pydantic import ValidationError
+
+    from altd.recording.header import PlacedHeader
+
+    if plate is None or plate.pitch_sigma_mm is None:
+        raise BadInputError("--placed", "requires `--plate C,R,MM,SIGMA_MM`")
+    try:
+        return plate.model_copy(update={"placed": PlacedHeader(**stated)})
+    except ValidationError:
+        raise BadInputError("--placed", "needs MM and DEG from 0, CAMERA_MM from 20") from None

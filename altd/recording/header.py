@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +28,7 @@ from altd.files.table import NAME_PATTERN, Celsius
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
 from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Origin
-from altd.records.limits import MAX_LIMIT
+from altd.records.limits import MAX_LIMIT, MAX_SCALE_PPM
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -138,11 +139,24 @@ class TargetHeader(_Header):
         return None if self.glass_mm is None else Glass(self.glass_mm, self.glass_index or GLASS_INDEX)
 
 
+GLASS_DEPTH_MM = 1.0
+"""Standard uncertainty of the depth of a screen's pixels behind its glass as seen by a camera, mm."""
+
+
+class PlacedHeader(_Header):
+    """Uncertainty of a plate's place and angle on its target, 1 sigma per axis; distance of the camera."""
+
+    sigma_mm: Annotated[float, Field(ge=0, le=100)]
+    sigma_deg: Annotated[float, Field(ge=0, le=30)]
+    camera_mm: Annotated[float, Field(ge=20, le=100_000)]
+
+
 class PlateHeader(_Header):
     """A grid of lit LEDs; ``origin_mm`` is the LED with the smallest x and the smallest y.
 
     ``disc_mm`` is the diameter of an LED's even disc, ``beam_mm`` the 1/e² diameter of the laser spot that
-    will be measured.
+    will be measured. ``pitch_sigma_mm`` is the standard uncertainty of the pitch, ``placed`` how well the
+    plate lies on the target.
     """
 
     columns: Annotated[int, Field(ge=4, le=100)]
@@ -151,6 +165,29 @@ class PlateHeader(_Header):
     origin_mm: tuple[Position, Position]
     disc_mm: Length | None = None
     beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
+    pitch_sigma_mm: Annotated[float, Field(ge=0)] | None = None
+    placed: PlacedHeader | None = None
+
+    @model_validator(mode="after")
+    def _check_sigma(self) -> Self:
+        if (self.pitch_sigma_mm or 0.0) > MAX_SCALE_PPM * 1e-6 * self.pitch_mm:
+            raise ValueError(f"pitch_sigma_mm: {self.pitch_sigma_mm:g} exceeds a twentieth of pitch_mm")
+        return self
+
+    @property
+    def limits(self) -> Limits:
+        """Uncertainties of the places of the LEDs on the target, as far as they are stated."""
+        stated: dict[str, float] = {}
+        depth = 0.0
+        if of := self.placed:
+            depth = GLASS_DEPTH_MM / of.camera_mm
+            angle = math.radians(of.sigma_deg)
+            stated = {"stage_mm": 0.0, "stage_square_mrad": 0.0}
+            stated |= {"plate_mm": of.sigma_mm, "plate_turn_mrad": 1e3 * angle}
+            stated["plate_keystone_per_m"] = 1e3 * angle / of.camera_mm
+        if self.pitch_sigma_mm is not None:
+            stated["stage_scale_ppm"] = 1e6 * math.hypot(self.pitch_sigma_mm / self.pitch_mm, depth)
+        return Limits(**stated)
 
 
 class LedPlateHeader(_Header):

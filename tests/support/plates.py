@@ -32,12 +32,19 @@ class View:
     fisheye: bool = False
     mirrored: bool = False
     middle_px: tuple[float, float] = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    scale: float = 1.0
+    askew_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Turn of the plate against the target, Rodrigues' vector; x right, y up, z away from the camera."""
+    aside_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The plate's middle on the target; z is its depth behind it."""
 
     def to_px(self, points_mm: np.ndarray) -> np.ndarray:
         """Points (n, 2) of the plate in px."""
         points = np.asarray(points_mm, dtype=float).reshape(-1, 2)
         side = -1.0 if self.mirrored else 1.0
-        face = np.column_stack([side * points[:, 0], -points[:, 1], np.zeros(len(points))])[:, None, :]
+        turned, _ = cv2.Rodrigues(np.radians(np.array(self.askew_deg)))
+        x, y, z = turned[:, :2] @ (self.scale * points.T) + np.array(self.aside_mm)[:, None]
+        face = np.column_stack([side * x, -y, z])[:, None, :]
         matrix = np.array([[self.f_px, 0, self.middle_px[0]], [0, self.f_px, self.middle_px[1]], [0, 0, 1]])
         turn, move = np.array(self.turn), np.array([0.0, 0.0, self.distance_mm])
         if self.fisheye:
@@ -87,7 +94,11 @@ def add_disc(image: np.ndarray, view: View, place_mm: np.ndarray, diameter_mm: f
 
 
 def plate_light(
-    view: View, dark: Collection[tuple[int, int]] = (), disc_mm: float = DISC_MM, peak: float = 170.0
+    view: View,
+    dark: Collection[tuple[int, int]] = (),
+    disc_mm: float = DISC_MM,
+    peak: float = 170.0,
+    blur_px: float = 0.7,
 ) -> np.ndarray:
     """Counts of the lit plate behind a lens that blurs a little; ``dark`` are (column, row)."""
     image = np.zeros((HEIGHT, WIDTH))
@@ -97,7 +108,7 @@ def plate_light(
             if (column, row) not in dark:
                 shade = 1 - 0.04 * ((3 * column + row) % 5)
                 add_disc(image, view, places[row, column], disc_mm, peak * shade)
-    return cv2.GaussianBlur(image, (0, 0), 0.7)
+    return cv2.GaussianBlur(image, (0, 0), blur_px)
 
 
 def write_plate(

@@ -48,6 +48,9 @@ _TERMS = {
     "beam_normal_mm_per_m": "calibrating beam against the normal",
     "target_distance_mm": "distance of the targets",
     "temperature_k": "temperature of the frame",
+    "plate_mm": "place of the plate on the first target",
+    "plate_turn_mrad": "turn of the plate on each target",
+    "plate_keystone_per_m": "tilt of the plate over the camera's distance",
     "glass_mm": "thickness of the window's glass",
     "glass_index": "refractive index of the glass",
 }
@@ -56,6 +59,8 @@ _UNITS = {
     "stage_square_mrad": "mrad",
     "beam_normal_mm_per_m": "mm/m",
     "temperature_k": "K",
+    "plate_turn_mrad": "mrad",
+    "plate_keystone_per_m": "1/m",
     "glass_index": "",
 }
 

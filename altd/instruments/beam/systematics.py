@@ -16,8 +16,15 @@ _OPERATION_C = (-10.0, 60.0)
 """Specified temperatures of operation (App. A.1)."""
 _THERMOMETER_K = 1.0
 """Standard uncertainty of the difference of two temperatures of the frame: its parts are not equally warm."""
-_TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
-"""Factors from the unit of each limit to a dimensionless number."""
+_TO_MM = {
+    "stage_scale_ppm": 1e-6,
+    "stage_square_mrad": 1e-3,
+    "beam_normal_mm_per_m": 1e-3,
+    "plate_mm": 1.0,
+    "plate_turn_mrad": 1e-3,
+    "plate_keystone_per_m": 1e-3,
+}
+"""Factors from the unit of each limit to a dimensionless number, of a keystone to 1/mm."""
 _HIGHEST_HZ = 130.0
 """Highest frequency of a vibration; an exposure of some ms averages over higher ones."""
 
@@ -87,7 +94,9 @@ def effects_mm(
     out of square by q move x by q · y. A beam tilted from the normal by t meets the target at z with an error
     of t · z. A target farther away by d is met d · slope further along. These errors have one column for x
     and one for y; the distance has one column per target after the first. ``warmth`` replaces the
-    limit ``temperature_k``.
+    limit ``temperature_k``. Errors of the plates are independent from target to target: a plate turned
+    about z, or tilted by a, which a camera at the distance A sees at (1 + (a / A) · place) times its
+    place.
     """
     z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
     effects = {}
@@ -95,11 +104,19 @@ def effects_mm(
         ("stage_scale_ppm", x, y),
         ("stage_square_mrad", y, x),
         ("beam_normal_mm_per_m", z, z),
+        ("plate_mm", np.ones_like(z), np.ones_like(z)),
     ):
         if sigma := getattr(limits, key):
             columns = np.zeros((2 * len(z), 2))
             columns[0::2, 0], columns[1::2, 1] = along_x, along_y
             effects[key] = sigma * _TO_MM[key] * columns
+    for key, blocks in (
+        ("plate_turn_mrad", np.stack([-y, x], axis=1)[:, :, None]),
+        ("plate_keystone_per_m", np.einsum("ti,tj->tij", points_mm, points_mm)),
+    ):
+        if sigma := getattr(limits, key):
+            apart = np.einsum("tij,tu->tiuj", blocks, np.eye(len(z)))  # of one target after the other
+            effects[key] = sigma * _TO_MM[key] * apart.reshape(2 * len(z), -1)
     if sigma := limits.target_distance_mm:
         columns = np.zeros((2 * len(z), len(z) - 1))
         for farther in range(1, len(z)):

@@ -163,6 +163,24 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     assert outcome.status == 0, outcome.err
     assert outcome.err == ""
     assert [target.name for target in load_calibration(output).targets] == ["front", "rear"]
+    screen = (*record[:5], "--seconds", "60", "--kind", "plate", "--plate", "7,5,25,0.05")
+    for option, value, why in (
+        ("--target", "back", "there is no 'back'; possible: front, rear"),
+        ("--placed", "0.5,0.5,10", "needs MM and DEG from 0, CAMERA_MM from 20"),
+    ):
+        refused = altd_here(*screen[:4], tmp_path / "none", *screen[5:], option, value)
+        assert f"altd record: {option}: {why}" in refusal(refused)
+    for name in ("front", "rear"):
+        on_one = (*screen[:4], tmp_path / name, *screen[5:], "--target", name, "--placed", "0.5,0.5,350")
+        outcome = altd_here(*on_one)
+        assert outcome.status == 0, outcome.err
+    outcome = altd_here("calibrate", tmp_path / "front", tmp_path / "rear", "-o", output)
+    assert (outcome.status, outcome.err) == (0, "")
+    of_screens = load_calibration(output)
+    assert [target.name for target in of_screens.targets] == ["front", "rear"]
+    assert of_screens.limits.stage_scale_ppm == pytest.approx(1e6 * np.hypot(0.05 / 25, 1 / 350))
+    zero_mm_per_m = 1e3 * np.sqrt(2) * 0.5 / of_screens.targets[1].z_mm
+    assert of_screens.limits.beam_normal_mm_per_m == pytest.approx(zero_mm_per_m)
 
 
 EXPANSION = """[[thermometers]]

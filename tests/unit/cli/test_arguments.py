@@ -53,6 +53,12 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
             ("record", "-o", "x", "--seconds", "1", "--plate", "7,5"),
             "--plate: '7,5' is not a plate; possible",
         ),
+        (
+            ("record", "-o", "x", "--seconds", "1", "--plate", "7,5,25,2"),
+            "'7,5,25,2' is not a plate; possible",
+        ),
+        (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,25,1,1"), "is not a plate; possible"),
+        (("record", "-o", "x", "--seconds", "1", "--placed", "1,2"), "'1,2' is not a placing; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "3,5,25"), "'3,5,25' is not a plate; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,nan"), "'7,5,nan' is not a plate; possible"),
         (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from support.evidence import calibration
@@ -118,6 +119,35 @@ def test_each_limit_adds_the_error_that_it_makes(key: str) -> None:
     scatter = np.array(right.sigma_random)
     added = np.sqrt(np.square(sigmas(right)) - np.square(scatter))
     assert added == pytest.approx(np.abs(errors), rel=2e-3, abs=1e-9)
+
+
+def _seen(x: float, y: float, turn: tuple[float, float, float], away_mm: float) -> tuple[float, float]:
+    """The place of the target where a camera sees the point of a plate turned about its middle."""
+    point, camera = cv2.Rodrigues(np.array(turn))[0] @ (x, y, 0.0), np.array([0.0, 0.0, -away_mm])
+    ray = point - camera
+    place = camera + ray * away_mm / ray[2]
+    return float(place[0]), float(place[1])
+
+
+@pytest.mark.parametrize(
+    ("limits", "axes"),
+    [(Limits(plate_turn_mrad=0.1), (2,)), (Limits(plate_keystone_per_m=0.1 / 300), (0, 1))],
+)
+def test_a_plate_askew_on_each_target_adds_what_its_camera_sees(
+    limits: Limits, axes: tuple[int, ...]
+) -> None:
+    """0.1 mrad, about one axis of one target at a time, before a camera 300 mm away."""
+    right = beam_through(true_places(), limits)
+    errors = []
+    for target in range(2):
+        for axis in axes:
+            places = true_places()
+            turn = [0.0, 0.0, 0.0]
+            turn[axis] = 1e-4
+            places[target] = _seen(*places[target], (turn[0], turn[1], turn[2]), 300.0)
+            errors.append(np.subtract(numbers(beam_through(places, Limits())), numbers(right)))
+    added = np.sqrt(np.square(sigmas(right)) - np.square(right.sigma_random or ()))
+    assert added == pytest.approx(np.linalg.norm(errors, axis=0), rel=2e-3)
 
 
 def test_a_warmer_frame_adds_its_smaller_pictures_and_its_longer_distance() -> None:

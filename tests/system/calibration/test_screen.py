@@ -1,0 +1,115 @@
+"""A screen as the plate: its scale, its place and its tilt are in sigma, and defocus does little.
+
+Plates drawn by OpenCV's projections, beams by algebra: each meets both targets, whose cameras see the places
+themselves, while the map is of a screen that lies there inexactly.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.plates import FRONT, PITCH_MM, REAR, View, plate_light, write_plate
+
+from altd.calibration.calibrating import calibrate
+from altd.errors import BadInputError
+from altd.instruments.beam.solver import fit_beam
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
+
+Z_MM = (0.0, 280.0)
+
+
+def calibrated(folder: Path, front: View, rear: View, blur_px: float = 0.7, **plate: object) -> Calibration:
+    lights = [plate_light(view, blur_px=blur_px) for view in (front, rear)]
+    path = write_plate(folder, *lights, pairs=1)
+    header = json.loads((path / "recording.json").read_text())
+    header["plate"] |= plate
+    (path / "recording.json").write_text(json.dumps(header))
+    return calibrate([open_recording(path)]).calibration
+
+
+def errors_and_sigmas(calibration: Calibration, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of x, y, yaw and pitch (mm, mm/m) of 40 beams, and their sigma."""
+    rng, errors, sigmas = np.random.default_rng(seed), [], []
+    while len(errors) < 40:
+        near, far = rng.uniform(-1, 1, (2, 2)) * (65, 42)
+        slopes = (far - near) / Z_MM[1]
+        points = [
+            target.point(*view.to_px(place)[0])
+            for target, view, place in zip(calibration.targets, (FRONT, REAR), (near, far), strict=True)
+        ]
+        if None in points:
+            continue
+        of_maps = np.zeros((4, 4))
+        for number, point in enumerate(points):
+            of_maps[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = point.covariance_mm2
+        beam = fit_beam(Z_MM, points, of_maps, limits=calibration.limits)
+        found = (beam.x_mm, beam.y_mm, *np.tan(np.radians((beam.yaw_deg, beam.pitch_deg))) * 1e3)
+        errors.append(np.subtract(found, (*near, *slopes * 1e3)))
+        sigmas.append(np.sqrt(np.diag(beam.line_covariance))[[0, 2, 1, 3]] * (1, 1, 1e3, 1e3))
+    return np.array(errors), np.array(sigmas)
+
+
+def test_a_scale_wrong_by_a_percent_is_in_sigma(tmp_path: Path) -> None:
+    """All errors are one scale's: x · 1 % on the front target, and the slope · 1 %, in common to both."""
+    front, rear = (replace(view, scale=1.01) for view in (FRONT, REAR))
+    calibration = calibrated(tmp_path / "rec", front, rear, pitch_sigma_mm=0.01 * PITCH_MM)
+    assert calibration.limits.stage_scale_ppm == pytest.approx(10_000)
+    errors, sigmas = errors_and_sigmas(calibration)
+    assert np.sqrt(np.mean(np.square(errors[:, 0]))) > 0.25
+    assert np.sqrt(np.mean(np.square(errors / sigmas), axis=0)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_screen_that_lies_askew_is_in_sigma_by_what_is_stated_of_it(tmp_path: Path) -> None:
+    """Scale, place, angle and depth are drawn; the cameras look at 12° and 30°, so depth is aside, too."""
+    rng, ratios = np.random.default_rng(5), []
+    placed = {"sigma_mm": 0.65, "sigma_deg": 0.5, "camera_mm": 340.0}
+    for number in range(4):
+        scale = 1 + 0.003 * rng.normal()
+        front, rear = (
+            replace(
+                view,
+                scale=scale,
+                askew_deg=tuple(rng.normal(0, 0.5, 3)),
+                aside_mm=(*rng.normal(0, 0.3, 2), abs(rng.normal())),
+            )
+            for view in (FRONT, REAR)
+        )
+        stated = {"pitch_sigma_mm": 0.003 * PITCH_MM, "placed": placed}
+        calibration = calibrated(tmp_path / str(number), front, rear, **stated)
+        ratios.append(np.divide(*errors_and_sigmas(calibration, number)))
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+    assert np.abs(ratios).max() < 3.5
+
+
+def test_a_tilt_of_two_degrees_does_not_show_and_must_be_stated(tmp_path: Path) -> None:
+    front = replace(FRONT, askew_deg=(0.0, 2.0, 0.0))
+    placed = {"sigma_mm": 0.0, "sigma_deg": 2.0, "camera_mm": 380.0}
+    calibration = calibrated(tmp_path / "rec", front, REAR, pitch_sigma_mm=0.0, placed=placed)
+    assert calibration.targets[0].residual_mean_mm < 0.005
+    errors, sigmas = errors_and_sigmas(calibration)
+    assert np.abs(errors[:, 0]).max() > 0.3
+    assert np.abs(errors / sigmas).max() < 3.0
+
+
+def test_a_defocused_screen_is_mapped_as_well(tmp_path: Path) -> None:
+    """Discs 14 to 16 px wide behind a blur of 3.5 px, sigma."""
+    errors, sigmas = errors_and_sigmas(calibrated(tmp_path / "rec", FRONT, REAR, 3.5))
+    assert np.sqrt(np.mean(np.square(errors), axis=0)) == pytest.approx([0, 0, 0, 0], abs=0.03)
+    assert np.abs(errors / sigmas).max() < 3.0
+
+
+def test_one_statement_must_hold_for_all_targets(tmp_path: Path) -> None:
+    pictures = plate_light(FRONT), plate_light(REAR)
+    paths = []
+    for name, sigma_mm in (("front", 0.05), ("rear", 0.06)):
+        path = write_plate(tmp_path / name, *pictures, pairs=1)
+        header = json.loads((path / "recording.json").read_text())
+        header["plate"]["pitch_sigma_mm"] = sigma_mm
+        header["targets"] = [{"name": name, "z_mm": 280.0 * (name == "rear"), "camera": name}]
+        (path / "recording.json").write_text(json.dumps(header))
+        paths.append(path)
+    with pytest.raises(BadInputError, match="show the same plate on all targets, with the same statement"):
+        calibrate([open_recording(path) for path in paths])
