@@ -38,7 +38,10 @@ from altd.status.unit import PublishedUnit
 _FOLDER = Path(__file__).with_name("page_files")
 
 _TYPES = {".js": "text/javascript", ".css": "text/css"}
-"""Media types of the served files, by suffix; licences and ``index.html`` are not among these files."""
+"""Media types of the served files, by suffix; licences and HTML are not among these files."""
+
+_LATE = "vendor/uPlot.iife.min.js", "screen.js"
+"""Scripts that the page does not load at once: of the plots, and of another page."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -69,7 +72,7 @@ def page_of(quantities: Quantities) -> str:
     """Return the HTML of the page, which shows numbers with one decimal fewer than the JSON."""
     page = (_FOLDER / "index.html").read_text(encoding="utf-8")
     document = json.dumps([_facts(quantity, quantities) for quantity in quantities.of_unit])
-    scripts = [name for name in page_files() if name.endswith(".js") and "uPlot" not in name]
+    scripts = [name for name in page_files() if name.endswith(".js") and name not in _LATE]
     early = "".join(f'<link rel="modulepreload" href="page/{name}">\n' for name in scripts)
     # only this character can end a script element, in which entities are not decoded
     page = page.replace("{/* quantities */}", document.replace("<", "\\u003c"))
@@ -139,6 +142,7 @@ class Answers:
         self._metrics = Metrics(unit)
         self._page = page_of(unit.board.quantities)
         self._reasons = reasons_page(self._page)
+        self._screen = (_FOLDER / "screen.html").read_text(encoding="utf-8")
         self._page_files = page_files()
         self.streams = Streams(unit.board, component, self._stamps)
         self.self_check = unit.self_check
@@ -156,6 +160,10 @@ class Answers:
     async def reasons(self, _: Request) -> Response:
         """Return the page of all causes."""
         return HTMLResponse(self._reasons, headers={"Content-Security-Policy": POLICY})
+
+    async def screen(self, _: Request) -> Response:
+        """Return the page that shows a plate's discs, to calibrate from a screen."""
+        return HTMLResponse(self._screen, headers={"Content-Security-Policy": POLICY})
 
     async def page_file(self, request: Request) -> Response:
         """Return a script or a style of the page."""

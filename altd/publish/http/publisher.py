@@ -68,6 +68,7 @@ def application_of(
         Route(path.path, _handler(path, answers), methods=list(path.operations)) for path in PATHS
     ]
     routes.append(Route("/page/{file:path}", answers.page_file, methods=["GET"]))
+    routes.append(Route("/screen", answers.screen, methods=["GET"]))
     routes += [WebSocketRoute(PATH, answers.viewers.show), Route(PATH, _needs_websocket, methods=["GET"])]
     routed = Starlette(routes=routes, exception_handlers=HANDLERS)
     routed.router.redirect_slashes = False

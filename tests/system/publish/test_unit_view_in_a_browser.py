@@ -7,9 +7,12 @@ import re
 import shutil
 import zipfile
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import pytest_asyncio
 from playwright.async_api import Browser
@@ -177,3 +180,73 @@ async def test_on_a_phone_nothing_is_wider_than_the_screen(
             await shown.open(view)
             await shown.page.locator("main section").first.wait_for()
             assert (await shown.now())["overflow"] <= 0, view
+
+
+@pytest.mark.parametrize(
+    ("size", "ratio", "wished"),
+    [
+        ((1280, 800), 1.5, ("7", "5", "25")),
+        ((1180, 820), 2.0, ("8", "6", "20.3")),
+        ((1366, 768), 1.0, ("6", "4", "28")),
+    ],
+)
+async def test_a_screen_shows_the_plate_that_its_option_states(
+    started: Browser, running: LedUnit, size: tuple[int, int], ratio: float, wished: tuple[str, str, str]
+) -> None:
+    """The discs of the screenshot, counted and placed by OpenCV; a pixel is 0.2 mm wide by the ruler."""
+    async with seen(started, running, size, device_scale_factor=ratio) as shown:
+        page = shown.page
+        await page.goto(f"http://127.0.0.1:{shown.cable.port}/screen")
+        await page.context.set_offline(True)  # as if the daemon were stopped
+        assert await page.locator("#option").text_content() == "fill in all numbers"
+        assert await page.locator("#show").is_disabled()
+        bar = await _lit(shown)
+        (bar_px,) = (int(width) for width, height in bar.stats[1:, 2:4] if width > 10 * height)
+        await page.locator("#length").fill(f"{bar_px * 0.2:.4f}")
+        for name, text in zip(("columns", "rows", "pitch"), wished, strict=True):
+            await page.locator(f"#{name}").fill(text)
+        option = re.fullmatch(
+            r"--plate (\d+),(\d+),([\d.]+),([\d.]+)", await page.locator("#option").inner_text()
+        )
+        assert option is not None
+        row = await page.locator("#row").inner_text()
+        await page.locator("#show").click()
+        discs = await _lit(shown)
+        assert [option[1], option[2]] == list(wished[:2])
+        columns, rows, pitch_mm, sigma_mm = int(option[1]), int(option[2]), float(option[3]), float(option[4])
+        assert len(discs.stats) - 1 == columns * rows
+        order = np.lexsort((discs.centroids[1:, 0], np.rint(discs.centroids[1:, 1])))
+        grid = discs.centroids[1:][order].reshape(rows, columns, 2)
+        steps_px = np.diff(grid, axis=1)[..., 0], np.diff(grid, axis=0)[..., 1]
+        assert np.ptp(steps_px[0]) < 1e-9
+        assert np.ptp(steps_px[1]) < 1e-9
+        assert steps_px[0][0, 0] == pytest.approx(steps_px[1][0, 0], abs=1e-9)
+        pitch_px = float(steps_px[0][0, 0])
+        assert pitch_px == round(pitch_px)
+        assert pitch_mm == pytest.approx(pitch_px * 0.2, abs=1e-4)
+        assert pitch_mm == pytest.approx(float(wished[2]), abs=0.1)
+        assert float(row.removesuffix(" mm")) == pytest.approx((columns - 1) * pitch_px * 0.2, abs=0.06)
+        assert sigma_mm / pitch_mm == pytest.approx(0.5 / 3**0.5 / (bar_px * 0.2), rel=0.01)
+        middle = (grid[0, 0] + grid[-1, -1]) / 2 + 0.5
+        assert middle == pytest.approx(np.multiply(size, ratio) / 2, abs=1.0)
+        async with asyncio.timeout(10):
+            while len((await _lit(shown)).stats) > 1:  # noqa: ASYNC110  a picture says nothing unasked
+                await asyncio.sleep(0.1)
+        await page.keyboard.press("x")
+        assert await page.locator("#setup").is_visible()
+        assert shown.complaints == []
+
+
+@dataclass(frozen=True)
+class _Lights:
+    stats: np.ndarray
+    """Left, top, width, height and area (n + 1, 5) of the white parts; the first is the ground."""
+    centroids: np.ndarray
+
+
+async def _lit(shown: Seen) -> _Lights:
+    """White parts of the picture."""
+    raw = np.frombuffer(await shown.page.locator("#plate").screenshot(scale="device"), np.uint8)
+    grey = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE)
+    _, _, stats, centroids = cv2.connectedComponentsWithStats((grey > 127).astype(np.uint8))
+    return _Lights(stats, centroids)

@@ -30,7 +30,7 @@ export function Unit({ status, mayLook }) {
   return html`<section aria-labelledby="unit-title"><h2 id="unit-title">Unit</h2>
     <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value ?? "–"}</dd></div>`)}</dl>
     <p class="links"><a href="api/v1/">API</a> <a href="api/v1/measurement">measurement</a> <a href="api/v1/status">status</a>
-      <a href="metrics">metrics</a></p>
+      <a href="metrics">metrics</a> <a href="screen">plate on this screen</a></p>
     <p>${mayLook && html`<a href="api/v1/diagnostics" download>Download diagnostics</a>`}${mayLook === false && html`To download diagnostics, <a href="#unit">log in</a> first.`}
       <span class="hint"> Status, events, trend, settings and versions in one archive for remote support.</span></p></section>`;
 }

@@ -95,18 +95,20 @@ async def test_the_status_tells_who_set_the_zero(
 
 
 async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
-    answer = await unit.ask("/")
-    text = answer.body.decode()
-    assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    policy = answer.headers["content-security-policy"]
-    assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
-    assert "unsafe" not in policy
+    text = ""
+    for path in ("/", "/screen"):
+        answer = await unit.ask(path)
+        text += answer.body.decode()
+        assert answer.headers["content-type"] == "text/html; charset=utf-8"
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+        assert "unsafe" not in policy
     assert "://" not in text
     named = set(re.findall(r'(?:src|href)="(page/[^"]*)"', text))
     for file in page_files().values():  # a script may load another one
         named.update(re.findall(r'src: "(page/[^"]*)"', file.content.decode()))
     scripts = {f"page/{name}" for name in page_files() if name.endswith(".js")}
-    assert named == {"page/style.css", "page/vendor/uPlot.min.css", *scripts}
+    assert named == {"page/style.css", "page/screen.css", "page/vendor/uPlot.min.css", *scripts}
     for path in named:
         assert (await unit.ask(f"/{path}")).status == 200
     linked = set(re.findall(r'href="(api[^"]*)"', text))

@@ -1,0 +1,119 @@
+// The screen as a plate of LEDs: discs on the screen's own pixels, and the option that describes them.
+// Once loaded it asks the unit for nothing: the daemon is stopped while the cameras are recorded.
+
+const CARD_MM = 85.60;  // ISO/IEC 7810, ID-1
+const LIT_MS = 4000, DARK_MS = 4000;  // both in any recording of 10 s, however it begins
+const BAR_TOP_CSS = 24, BAR_HEIGHT_CSS = 40, LEFT_CSS = 16, MIN_BAR_PX = 50, COARSE_PX = 10;
+
+const field = name => document.getElementById(name);
+const canvas = field("plate"), context = canvas.getContext("2d");
+let barPx = 0, isBarSet = false, isShowing = false, isLit = false, timer = 0;
+
+const left = () => Math.round(LEFT_CSS * devicePixelRatio);
+const longestBar = () => canvas.width - 2 * left();
+const number = name => field(name).valueAsNumber;
+
+// The plate on device pixels, or why there is none.
+function plateOf({ columns, rows, wishedMm, discMm, barPx, barMm, errorMm, width, height }) {
+  const mmPerPx = barMm / barPx, pitchPx = Math.round(wishedMm / mmPerPx), radiusPx = Math.round(discMm / mmPerPx / 2);
+  const most = [width, height].map(px => Math.floor((px - 2 * radiusPx) / pitchPx) + 1);
+  if (![columns, rows, pitchPx, radiusPx, errorMm].every(value => value > 0) || columns % 1 || rows % 1) return { why: "fill in all numbers" };
+  if (columns < 4 || rows < 4) return { why: "at least 4 columns and 4 rows" };
+  if (radiusPx < 3 || 2 * radiusPx > 0.6 * pitchPx) return { why: "discs of 6 pixels at least, and of half of the pitch at most" };
+  if (columns > most[0] || rows > most[1]) return { why: `does not fit: ${most[0]} columns, ${most[1]} rows at most, or a smaller pitch` };
+  const pitchMm = pitchPx * mmPerPx, sigmaMm = pitchMm * errorMm / Math.sqrt(3) / barMm;
+  return { columns, rows, pitchPx, radiusPx, pitchMm, sigmaMm,
+    firstX: Math.round((width - (columns - 1) * pitchPx) / 2), firstY: Math.round((height - (rows - 1) * pitchPx) / 2),
+    option: `--plate ${columns},${rows},${pitchMm.toFixed(4)},${sigmaMm.toFixed(4)}` };
+}
+
+const plate = () => plateOf({ columns: number("columns"), rows: number("rows"), wishedMm: number("pitch"), discMm: number("disc"),
+  barPx, barMm: number("length"), errorMm: number("error"), width: canvas.width, height: canvas.height });
+
+// Marks in the middle of the sides, as dim in the lit picture as in the dark one: they cancel in the difference.
+function ticks({ firstX, firstY, columns, rows, pitchPx }) {
+  const x = firstX + (columns - 1) * pitchPx / 2, y = firstY + (rows - 1) * pitchPx / 2;
+  const long = Math.max(Math.min(firstX, firstY) - pitchPx / 2, 0);
+  context.fillStyle = "#444";
+  for (const far of [0, canvas.height - long]) context.fillRect(x - 1, far, 2, long);
+  for (const far of [0, canvas.width - long]) context.fillRect(far, y - 1, long, 2);
+}
+
+function draw() {
+  const { width, height } = canvas, found = plate();
+  context.fillStyle = "#000";
+  context.fillRect(0, 0, width, height);
+  if (!isShowing) {
+    context.fillStyle = "#fff";
+    const [top, tall] = [BAR_TOP_CSS, BAR_HEIGHT_CSS].map(css => Math.round(css * devicePixelRatio));
+    context.fillRect(left(), top, barPx, tall);
+  } else if (found.why) {
+    stop();  // a screen that was turned is too narrow
+  } else {
+    ticks(found);
+    if (isLit) for (let row = 0; row < found.rows; row++) for (let column = 0; column < found.columns; column++) {
+      context.beginPath();
+      context.fillStyle = "#fff";
+      context.arc(found.firstX + column * found.pitchPx, found.firstY + row * found.pitchPx, found.radiusPx, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+  field("option").textContent = found.why ?? found.option;
+  field("row").textContent = found.why ? "–" : `${((found.columns - 1) * found.pitchMm).toFixed(1)} mm`;
+  field("show").disabled = Boolean(found.why);
+}
+
+function blink() {
+  isLit = !isLit;
+  draw();
+  timer = setTimeout(blink, isLit ? LIT_MS : DARK_MS);
+}
+
+function show() {
+  isShowing = true;
+  isLit = false;
+  document.body.className = "showing";
+  blink();
+}
+
+function stop() {
+  clearTimeout(timer);
+  isShowing = false;
+  document.body.className = "";
+  draw();
+}
+
+function setBar(px) {
+  isBarSet = true;
+  barPx = Math.min(Math.max(Math.round(px), MIN_BAR_PX), longestBar());
+  draw();
+}
+
+// As many pixels as the device has: a scaled canvas would blur the discs and change their pitch.
+function fit() {
+  const box = canvas.getBoundingClientRect();
+  canvas.width = Math.round(box.width * devicePixelRatio);
+  canvas.height = Math.round(box.height * devicePixelRatio);
+  if (!isBarSet) barPx = longestBar();  // until it is set, as long as possible
+  draw();
+}
+
+addEventListener("resize", fit);
+fit();
+field("setup").addEventListener("input", draw);
+field("setup").addEventListener("submit", event => { event.preventDefault(); show(); });
+field("full").addEventListener("click", () => document.documentElement.requestFullscreen?.());
+field("card").addEventListener("click", () => { field("length").value = CARD_MM; draw(); });
+canvas.addEventListener("pointerdown", event => {
+  if (isShowing) return stop();
+  canvas.setPointerCapture(event.pointerId);
+  setBar(event.clientX * devicePixelRatio - left());
+});
+canvas.addEventListener("pointermove", event => {
+  if (!isShowing && event.buttons) setBar(event.clientX * devicePixelRatio - left());
+});
+addEventListener("keydown", event => {
+  if (isShowing) { event.preventDefault(); return stop(); }
+  const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  if (step && event.target.tagName !== "INPUT") setBar(barPx + step * (event.shiftKey ? COARSE_PX : 1));
+});
