@@ -93,21 +93,50 @@ def add_disc(image: np.ndarray, view: View, place_mm: np.ndarray, diameter_mm: f
         image[v0:v1, u0:u1] += peak * share[v0 - top : v1 - top, u0 - left : u1 - left]
 
 
+def add_screen_disc(
+    image: np.ndarray, view: View, place_mm: np.ndarray, diameter_mm: float, peak: float, pixel_mm: float
+) -> None:
+    """Add a disc of a screen's pixels, each lit in an upright third and three quarters of its height."""
+    reach = int(diameter_mm / 2 / pixel_mm) + 1
+    steps = (np.arange(-reach, reach) + 0.5) * pixel_mm
+    cells = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    cells = cells[np.hypot(*cells.T) < diameter_mm / 2]
+    corners = np.array([(-1, -2.25), (1, -2.25), (1, 2.25), (-1, 2.25)]) * pixel_mm / 6
+    outlines = view.to_px((place_mm + cells[:, None] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
+    (left, top), (right, bottom) = (
+        (np.floor(outlines.min((0, 1))) - 1).astype(int),
+        np.ceil(outlines.max((0, 1))).astype(int) + 2,
+    )
+    fine = np.zeros(((bottom - top) * FINE, (right - left) * FINE), np.uint8)
+    drawn = np.rint(((outlines - (left, top) + 0.5) * FINE - 0.5) * 256).astype(np.int32)
+    for outline in drawn:
+        cv2.fillConvexPoly(fine, outline, 255, shift=8)
+    share = fine.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3)) / 255
+    image[top:bottom, left:right] += peak * share / share[share > share.max() / 4].mean()
+
+
 def plate_light(
     view: View,
     dark: Collection[tuple[int, int]] = (),
     disc_mm: float = DISC_MM,
     peak: float = 170.0,
     blur_px: float = 0.7,
+    pixel_mm: float = 0.0,
 ) -> np.ndarray:
-    """Counts of the lit plate behind a lens that blurs a little; ``dark`` are (column, row)."""
+    """Counts of the lit plate behind a lens that blurs a little; ``dark`` are (column, row).
+
+    With ``pixel_mm`` it is a screen with such pixels.
+    """
     image = np.zeros((HEIGHT, WIDTH))
     places = grid_mm()
     for row in range(ROWS):
         for column in range(COLUMNS):
             if (column, row) not in dark:
                 shade = 1 - 0.04 * ((3 * column + row) % 5)
-                add_disc(image, view, places[row, column], disc_mm, peak * shade)
+                if pixel_mm:
+                    add_screen_disc(image, view, places[row, column], disc_mm, peak, pixel_mm)
+                else:
+                    add_disc(image, view, places[row, column], disc_mm, peak * shade)
     return cv2.GaussianBlur(image, (0, 0), blur_px)
 
 
