@@ -288,7 +288,9 @@ class Pairer(Generic[Item]):
         while older := [
             items[0] for items in self._waiting.values() if items and self._order(items[0]) < first
         ]:
-            settled.append(self._settle(self._group_of(min(older, key=self._order))))
+            of_older = self._group_of(min(older, key=self._order))
+            # By time an older frame may be near a frame of the group too, which has its partner.
+            settled.append(self._settle({c: w for c, w in of_older.items() if w is not group.get(c)}))
         return settled
 
     def _settle(self, group: Mapping[str, _Waiting[Item]]) -> Pair[Item]:

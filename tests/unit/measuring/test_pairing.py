@@ -230,6 +230,21 @@ def test_a_flush_settles_what_waits_in_order() -> None:
     assert p.flush() == []
 
 
+def test_by_time_a_frame_near_two_of_the_other_camera_is_given_once() -> None:
+    """Stamps (ms) of 30 frames per second with a jitter of 15 ms, reduced to those that matter."""
+    front = {212: 0, 213: 50, 215: 105, 216: 148, 223: 363, 224: 444, 225: 453, 226: 465}
+    rear = {211: 1, 212: 17, 213: 53, 214: 81, 215: 129, 216: 133, 219: 267, 221: 322, 224: 438, 225: 442}
+    stamps = {("front", n): t for n, t in front.items()} | {("rear", n): t for n, t in rear.items()}
+    p = pairer("time")
+    given = [
+        (camera, item)
+        for (camera, n), t in sorted(stamps.items(), key=lambda stamp: stamp[1])
+        for pair in p.add(camera, n, t * MS, n)
+        for camera, item in pair.items.items()
+    ]
+    assert len(given) == len(set(given)) > 10
+
+
 HOUR = 3600 * 1000 * MS
 
 
