@@ -46,6 +46,7 @@ STUDIES = {
     "chain": 29,
     "switched": 269,
     "vibration": 15,
+    "pairing": 33,
     "learnt-pattern": 126,
 }
 """Names, and about the seconds of CPU that each takes, by which they are dealt out to turns."""

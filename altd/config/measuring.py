@@ -23,8 +23,9 @@ class Measuring(Table):
     pair_by: Literal["sequence", "time"] = "sequence"
     """Pair frames by number (``sequence``: recordings) or by time (``time``: live cameras, their default)."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    """Largest time difference between paired frames, ms, after a steady lag is subtracted (`time`)."""
-    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0
+    """Largest time difference between paired frames, ms, after a steady lag is subtracted (`time`). Jitter of
+    free-running cameras may exceed it (`cameras.md`)."""
+    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 40.0
     """Largest steady lag of one camera, ms; free-running cameras: up to half a period."""
 
     @property

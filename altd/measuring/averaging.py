@@ -156,7 +156,8 @@ def mean_spots(
     ``warming_up``. A frame set more than six MAD-based standard deviations, and four ``usual_px`` (2 ·
     targets,), off the median in any coordinate is an outlier. With more than 30 % outliers, or two clusters
     of frame sets, the beam moved: ``unsteady``. If one camera exposes later than another, the mean spots
-    still refer to one instant: steady motion between the two is subtracted. The excess of a spot's sigma by
+    still refer to one instant: steady motion between the two is subtracted, and the uncertainty of the time
+    between them by jitter of their stamps is in the covariance. The excess of a spot's sigma by
     light that one spot does not explain is not averaged down, since it is the same in all frame sets. With
     three frame sets or fewer the motion is unknown.
     """
@@ -186,11 +187,12 @@ def mean_spots(
     near_px, near_ns = deviations_px[is_inlier], since_middle_ns[is_inlier]
     speed = _speed_px_per_ns(near_px, near_ns)
     covariance_px2 = _covariance_of_mean(near_px, speed, near_ns, typical_noise)
+    of_delays_px2 = _covariance_of_delays(inliers[:, :, _BEHIND_NS], speed)
     behind_ns = mean[:, _BEHIND_NS].tolist()
     return MeanSpots(
         targets=targets,
         px=mean[:, :2] - speed.reshape(-1, 2) * mean[:, _BEHIND_NS, None],
-        covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)),
+        covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)) + of_delays_px2,
         t_ns=middle_ns,
         frames=count,
         lost=len(frame_sets) - len(usable),
@@ -312,6 +314,19 @@ def _covariance_of_mean(
     scatter = deviations.T @ deviations + _PRIOR_WEIGHT * np.diag(np.square(noise))
     covariance: FloatArray = scatter / (degrees_of_freedom + _PRIOR_WEIGHT) / count
     return covariance
+
+
+def _covariance_of_delays(behind_ns: FloatArray, speed: FloatArray) -> FloatArray | float:
+    """Return the covariance of steady motion within the mean delays of (n, targets); 0: they do not vary.
+
+    The spots do not show the jitter of the time stamps that say how far their exposures are apart.
+    """
+    count = len(behind_ns)
+    deviations_ns = behind_ns - behind_ns.mean(axis=0)
+    if count < _MIN_FRAME_SETS_FOR_MOTION or not deviations_ns.any():
+        return 0.0
+    delays_ns2 = deviations_ns.T @ deviations_ns / (count * (count - 1))
+    return np.asarray(np.kron(delays_ns2, np.ones((2, 2))) * np.outer(speed, speed))
 
 
 def _reasons_of_unusable(frame_sets: Sequence[FrameSet]) -> tuple[Fault, ...]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import median
 from typing import Generic, Literal, TypeVar
 
+from altd.measuring.regular_times import RESTART_GAP_NS, RegularTimes
 from altd.reasons import Reason
+from altd.statistics import MAD_TO_SIGMA
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -24,10 +27,12 @@ oldest beyond this number are dropped."""
 _MAX_COMPARED_FRAMES = 8
 """Number of a camera's frames whose times are compared: a frame may be delivered after its successors."""
 _MAX_LAG_SAMPLES = 15
+_MIN_DEVIATIONS, _MAX_DEVIATIONS = 7, 63
+"""Number of deviations from the lag from which their scatter is known, and of those that are kept."""
 _MAX_LAG_PERIODS = 0.55
 """Slightly more than half, so that a lag of half a period does not change sides with every jitter."""
-_RESTART_GAP_NS = 500_000_000
-"""Time without a frame after which a camera may have been restarted."""
+_MIN_SIGMAS = 6.0
+"""Distance between the frames of two periods, less the largest skew, in standard deviations of the lag."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +71,10 @@ class _Waiting(Generic[Item]):
     sequence: int
     t_ns: int
     aligned_ns: int
-    """Time less the camera's lag."""
+    """Time less the camera's lag; of free-running cameras the time by its line (``RegularTimes``)."""
+    off_ns: int
+    """Time less that by the line."""
+    is_on_line: bool
     arrived_ns: int
     delivery: int
     """Number of frames that its camera had delivered, including this one."""
@@ -78,7 +86,8 @@ class Lags:
 
     Free-running cameras keep a lag of up to half a period either way, which drifts as their crystals differ.
     A frame is compared with the nearest of the first camera's frames after subtracting the known lag; the
-    median over the last ones is the lag. One well beyond half a period is a period too large.
+    median over the last ones is the lag. One well beyond half a period is a period too large. If the times
+    scatter so that the nearest frame may be of another period, no frames belong together.
     """
 
     def __init__(self, cameras: tuple[str, ...]) -> None:
@@ -90,13 +99,18 @@ class Lags:
         self._samples_ns: dict[str, deque[int]] = {
             camera: deque(maxlen=_MAX_LAG_SAMPLES) for camera in others
         }
+        self._deviations_ns: dict[str, deque[int]] = {
+            camera: deque(maxlen=_MAX_DEVIATIONS) for camera in others
+        }
         self.ns = dict.fromkeys(cameras, 0)
         """Lag of each camera; 0 for the first, and for one whose lag is not known yet."""
+        self.unambiguous_ns = dict.fromkeys(cameras, math.inf)
+        """Distance from the lag below which a frame is not of another period, by the last scatter."""
 
     def add(self, camera: str, t_ns: int) -> None:
         """Update the lags with the time of one frame."""
         times_ns = self._reference_ns if camera == self._reference else self._pending_ns[camera]
-        if times_ns and t_ns - times_ns[-1] > _RESTART_GAP_NS:
+        if times_ns and t_ns - times_ns[-1] > RESTART_GAP_NS:
             self._reset(camera)
         times_ns.append(t_ns)
         period_ns = self._period_ns()
@@ -124,12 +138,20 @@ class Lags:
         pending_ns, samples_ns = self._pending_ns[camera], self._samples_ns[camera]
         while pending_ns and pending_ns[0] + period_ns / 2 <= self._reference_ns[-1]:
             t_ns = pending_ns.popleft()
-            samples_ns.append(self._behind_nearest(t_ns, self.ns[camera]))
+            sample_ns = self._behind_nearest(t_ns, self.ns[camera])
+            deviation_ns = abs(sample_ns - self.ns[camera])
+            if deviation_ns > _MAX_LAG_PERIODS * period_ns:
+                continue  # the first camera's frame is missing
+            samples_ns.append(sample_ns)
+            self._deviations_ns[camera].append(deviation_ns)
             lag_ns = round(median(samples_ns))
             if abs(lag_ns) > _MAX_LAG_PERIODS * period_ns:
                 samples_ns.clear()
                 samples_ns.append(lag_ns := self._behind_nearest(t_ns, 0))
             self.ns[camera] = lag_ns
+            if len(self._deviations_ns[camera]) >= _MIN_DEVIATIONS:
+                scatter_ns = MAD_TO_SIGMA * median(self._deviations_ns[camera])
+                self.unambiguous_ns[camera] = period_ns - _MIN_SIGMAS * scatter_ns
 
     def _behind_nearest(self, t_ns: int, lag_ns: int) -> int:
         return t_ns - min(self._reference_ns, key=lambda first_ns: abs(t_ns - lag_ns - first_ns))
@@ -139,9 +161,10 @@ class Pairer(Generic[Item]):
     """Pairs the items of cameras; also returns items that cannot be paired, with the reason.
 
     By sequence: items of one frame set have the same number, and times that differ by ``max_skew_ns`` at
-    most. By time: items whose times, each less its camera's lag, differ by at most that belong together,
-    unless a lag is larger than ``max_lag_ns``. The numbers are those of the first camera that delivered, and
-    only increase. A camera that did not deliver at that time is silent; one that delivered only items that do
+    most. By time: items whose regular times (``RegularTimes``), each less its camera's lag, differ by at most
+    that belong together, unless a lag is larger than ``max_lag_ns``; their stamps differ by at most that too,
+    or are near their lines. The numbers are those of the first camera that delivered, and only increase. A
+    camera that did not deliver at that time is silent; one that delivered only items that do
     not match is unsynchronised (``out_of_step``).
 
     A jump of a number or a time, in either direction, disturbs its own frame set and a few after it: see
@@ -157,6 +180,7 @@ class Pairer(Generic[Item]):
     ) -> None:
         self.cameras = cameras
         self._lags = Lags(cameras) if by == "time" else None
+        self._regular = {camera: RegularTimes() for camera in cameras}
         self._max_skew_ns = max_skew_ns
         self._max_lag_ns = max_lag_ns
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
@@ -189,15 +213,21 @@ class Pairer(Generic[Item]):
         ``arrived_ns`` is the time of its arrival if that is known. Items that arrive faster than they were
         exposed were delayed: their partners are on the way, too.
         """
+        regular_ns, is_on_line = t_ns, False
         if self._lags:
-            self._lags.add(camera, t_ns)
-        aligned_ns = t_ns - self.lags_ns.get(camera, 0)
+            regular_ns, is_on_line = self._regular[camera].add(sequence, t_ns)
+            # The lag of a camera that was restarted is that of its stamps, before the line is known.
+            self._lags.add(camera, regular_ns if is_on_line else t_ns)
+        aligned_ns = regular_ns - self.lags_ns.get(camera, 0)
         since_ns, last_ns = self._delivers_ns.get(camera, (aligned_ns, aligned_ns))
-        is_broken = not 0 <= aligned_ns - last_ns <= _RESTART_GAP_NS
+        is_broken = not 0 <= aligned_ns - last_ns <= RESTART_GAP_NS
         self._delivers_ns[camera] = aligned_ns if is_broken else since_ns, aligned_ns
         self._delivered[camera] += 1
         arrived_ns = t_ns if arrived_ns is None else arrived_ns
-        new = _Waiting(camera, sequence, t_ns, aligned_ns, arrived_ns, self._delivered[camera], item)
+        new = _Waiting(
+            *(camera, sequence, t_ns, aligned_ns, t_ns - regular_ns, is_on_line),
+            *(arrived_ns, self._delivered[camera], item),
+        )
         self._expire(new)
         if self._is_late(new):
             self._count_late(new)
@@ -278,8 +308,9 @@ class Pairer(Generic[Item]):
         if one is other:
             return True
         lag_ns = self._lags.ns[one.camera] - self._lags.ns[other.camera]
-        near = abs(one.aligned_ns - other.aligned_ns) <= self._max_skew_ns
-        return near and abs(lag_ns) <= self._max_lag_ns
+        unambiguous_ns = self._lags.unambiguous_ns
+        near_ns = min(self._max_skew_ns, unambiguous_ns[one.camera], unambiguous_ns[other.camera])
+        return abs(one.aligned_ns - other.aligned_ns) <= near_ns and abs(lag_ns) <= self._max_lag_ns
 
     def _settle_older(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
         """Settle the frame sets older than one that is settled, even if incomplete."""
@@ -302,14 +333,16 @@ class Pairer(Generic[Item]):
         self._last_out_ns = max(times)
         sequence = self._number_of(group)
         aligned = [waiting.aligned_ns for waiting in group.values()]
-        skew_ns = max(aligned) - min(aligned)
+        stamped = [waiting.aligned_ns + waiting.off_ns for waiting in group.values()]
+        skew_ns = max(stamped) - min(stamped)
+        is_off = skew_ns > self._max_skew_ns and not all(waiting.is_on_line for waiting in group.values())
         gap = 0 if self._last_number is None else max(sequence - self._last_number - 1, 0)
-        self.lost_pairs += gap + (len(group) < len(self.cameras) or skew_ns > self._max_skew_ns)
+        self.lost_pairs += gap + (len(group) < len(self.cameras) or is_off)
         self._last_number = sequence
         items = {camera: waiting.item for camera, waiting in group.items()}
         late = tuple(self._late)
         self._late.clear()
-        if skew_ns > self._max_skew_ns:
+        if is_off:
             missing = dict.fromkeys(self.cameras, Reason.OUT_OF_STEP)
             return Pair(sequence, t_ns, skew_ns, {}, missing, {}, (*late, *items.values()))
         missing = {c: self._why_missing(c, min(aligned)) for c in self.cameras if c not in group}

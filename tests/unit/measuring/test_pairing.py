@@ -1,11 +1,14 @@
+import math
 from collections.abc import Callable, Iterator
 from weakref import WeakSet
 
 import numpy as np
 import pytest
 
+from altd.measuring.averaging import mean_spots
 from altd.measuring.pairing import Pair, Pairer
 from altd.reasons import Reason
+from altd.records import FrameSet, MeanSpots, Spot
 
 MS = 1_000_000
 PERIOD = 50 * MS
@@ -189,7 +192,7 @@ def test_by_time_a_lag_beyond_what_is_allowed_is_out_of_step() -> None:
 def test_by_time_a_frame_off_the_steady_lag_is_out_of_step() -> None:
     pairs = free_running(pairer("time"), lambda n: 20.0 + (12.0 if n == 30 else 0.0))
     bad = [pair for pair in pairs[6:] if pair.missing]
-    assert {next(iter(pair.items.values())) for pair in bad} == {30}
+    assert {item for pair in bad for item in pair.all_items} == {30}
 
 
 def test_by_time_cameras_of_unlike_rates_are_out_of_step() -> None:
@@ -358,3 +361,114 @@ def test_no_numbers_keep_many_frames_in_memory_or_give_one_twice(
         del picture, pairs
         item = None
         assert len(alive) <= 20
+
+
+PERIOD_MS = 100 / 3
+Rows = np.ndarray[tuple[int, int], np.dtype[np.float64]]
+
+
+class Jittery:
+    """Two free-running cameras at 30 frames per second, the rear one 0.3 periods behind.
+
+    A frame is a row of true time, number, stamp and time of delivery; times in ms.
+    """
+
+    def __init__(self, jitter_ms: float, count: int = 400) -> None:
+        random = np.random.default_rng(66)
+        self.frames: dict[str, Rows] = {}
+        for camera, lag in (("front", 0.0), ("rear", 0.3)):
+            true_ms = (np.arange(count) + lag) * PERIOD_MS
+            stamps_ms = np.maximum.accumulate(true_ms + random.normal(0, jitter_ms, count))
+            self.frames[camera] = np.column_stack([true_ms, np.arange(count), stamps_ms, stamps_ms + 5])
+
+    def pairs(self) -> list[Pair[float]]:
+        """The whole frame sets; their items are true times, ms."""
+        p: Pairer[float] = Pairer(("front", "rear"), "time", max_skew_ns=10 * MS, max_lag_ns=40 * MS)
+        frames = [(*frame, camera) for camera in self.frames for frame in self.frames[camera].tolist()]
+        return [
+            pair
+            for true_ms, number, stamp_ms, _, camera in sorted(frames, key=lambda frame: frame[3])
+            for pair in p.add(camera, round(number), round(stamp_ms * MS), true_ms)
+            if not pair.missing
+        ]
+
+
+def lost(frames: Rows) -> Rows:
+    """Frames are lost and not counted."""
+    kept = np.delete(frames, [150, 200, 201, 202, 250, 300], axis=0)
+    kept[:, 1] = np.arange(len(kept))
+    return kept
+
+
+def stalled(frames: Rows) -> Rows:
+    """Nine old frames arrive at once and are stamped then."""
+    for begin in (100, 200, 300):
+        frames[begin : begin + 9, 2:] = frames[begin + 8, 2] + np.arange(9)[:, None] * 0.5
+    return frames
+
+
+def a_period_off(frames: Rows) -> Rows:
+    """Single stamps and numbers are a period later or earlier."""
+    frames[[150, 250], 2] += PERIOD_MS
+    frames[[200, 300], 2] -= PERIOD_MS
+    frames[[170, 270], 1] += 1
+    frames[[220, 320], 1] -= 1
+    return frames
+
+
+def stepped(frames: Rows) -> Rows:
+    """The clock steps by 0.4 periods forth and back."""
+    frames[150:250, 2:] += 0.4 * PERIOD_MS
+    return frames
+
+
+def halved(frames: Rows) -> Rows:
+    """The rate drops to a half in the dark."""
+    n = np.arange(len(frames))
+    kept = frames[(n < 150) | (n >= 250) | (n % 2 == 0)]
+    kept[:, 1] = np.arange(len(kept))
+    return kept
+
+
+@pytest.mark.parametrize("jitter_ms", [0.2, 4.0])
+@pytest.mark.parametrize("cameras", [("rear",), ("front", "rear")], ids=["rear", "both"])
+@pytest.mark.parametrize(
+    ("disturb", "least"), [(lost, 370), (stalled, 360), (a_period_off, 375), (stepped, 380), (halved, 300)]
+)
+def test_by_time_a_disturbed_camera_never_gives_frames_of_two_periods(
+    disturb: Callable[[Rows], Rows], least: int, cameras: tuple[str, ...], jitter_ms: float
+) -> None:
+    unit = Jittery(jitter_ms)
+    for camera in cameras:
+        unit.frames[camera] = disturb(unit.frames[camera])
+    apart_ms = [abs(pair.items["rear"] - pair.items["front"]) for pair in unit.pairs()]
+    assert max(apart_ms) < 0.75 * PERIOD_MS
+    assert len(apart_ms) >= least
+
+
+def test_by_time_a_jitter_beyond_a_fifth_of_the_period_gives_no_frame_sets() -> None:
+    assert len(Jittery(15.0).pairs()) < 10
+
+
+def test_by_time_the_jitter_of_the_stamps_is_in_sigma_of_moving_spots() -> None:
+    """At 5 mm/s (20 px/s) with a noise of 0.04 px, means of 20 frame sets against the motion itself."""
+    random, window, noise_px, px_per_ms = np.random.default_rng(5), 20, 0.04, 0.02
+
+    def spot(true_ms: float) -> Spot:
+        du_px, dv_px = random.normal(0, noise_px, 2).tolist()
+        return Spot(px_per_ms * true_ms + du_px, 100.0 + dv_px, noise_px, 44.0, 180.0)
+
+    ratios = []
+    pairs = Jittery(4.0, count=4000).pairs()[40:]
+    for begin in range(0, len(pairs) - window, window):
+        sets = [
+            FrameSet(n, pair.t_ns, {camera: spot(ms) for camera, ms in pair.items.items()}, pair.behind_ns)
+            for n, pair in enumerate(pairs[begin : begin + window])
+        ]
+        mean = mean_spots(sets, ("front", "rear"), window)
+        assert isinstance(mean, MeanSpots)
+        of_difference = np.array([-1.0, 0.0, 1.0, 0.0])
+        sigma_px = math.sqrt(of_difference @ mean.covariance_px2 @ of_difference)
+        ratios.append((of_difference @ mean.px.ravel()) / sigma_px)
+    assert len(ratios) > 150
+    assert 0.8 < math.sqrt(np.square(ratios).mean()) < 1.25
