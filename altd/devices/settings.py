@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 from altd.files.table import Table, complaint
 from altd.ports import Camera, Clock
 from altd.process.machine import Finding, Machine
+from altd.records.frames import MAX_ROW_TIME_US
 
 _DETAIL_LETTERS = 102
 
@@ -148,10 +149,18 @@ class LiveCameraSettings(CameraSettings):
     """Rows of a frame."""
     fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
     """Frames per second."""
+    row_time_us: Annotated[float, Field(ge=-MAX_ROW_TIME_US, le=MAX_ROW_TIME_US)] = 0.0
+    """Rolling shutter: delay of a row's exposure after the row above, µs; below 0 if rows are read upwards.
+    0: global shutter, or not known."""
     exposure: ExposureSettings = ExposureSettings()
     """Exposure and gain, a separate table (below)."""
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     """The camera's serial number (`altd devices`). Another camera is ``wrong_camera``."""
+
+    @property
+    def readout_ms(self) -> float:
+        """Time from the exposure of the first row to that of the last one, ms."""
+        return abs(self.row_time_us) * (self.height - 1) * 1e-3
 
     @property
     def longest_exposure_ms(self) -> float:

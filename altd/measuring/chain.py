@@ -213,8 +213,13 @@ class MeasuringChain(FrameChain[Located]):
                     self._window.forget()
             else:
                 spots[target] = self._last_spots[target] = self._why_missing(pair.missing[camera])
-        behind_ns = {self._target_of[camera]: late_ns for camera, late_ns in pair.behind_ns.items()}
-        return FrameSet(pair.sequence, pair.t_ns, spots, behind_ns, pair.all_items[0].opaque)
+        rows_ns = {camera: located.behind_ns for camera, located in pair.items.items()}
+        mean_ns = round(sum(rows_ns.values()) / max(len(rows_ns), 1))
+        behind_ns = {
+            self._target_of[camera]: late_ns + rows_ns.get(camera, mean_ns) - mean_ns
+            for camera, late_ns in pair.behind_ns.items()
+        }
+        return FrameSet(pair.sequence, pair.t_ns + mean_ns, spots, behind_ns, pair.all_items[0].opaque)
 
     def _why_missing(self, reason: Reason) -> NoSpot:
         """Return the reason; ``out_of_step`` gets the known figures of the cameras' synchronism as detail."""

@@ -45,7 +45,8 @@ class Located:
     dust over the spot, counted at intervals; None: not known. ``leds_on``: the frame LEDs were lit, or being
     switched. Such a frame is not analysed, and its exposure not measured; it only shows that its camera
     delivers. ``opaque`` is the frame's; with switched targets ``is_shown`` is whether that is this camera's
-    own target, and otherwise ``found`` is None.
+    own target, and otherwise ``found`` is None. ``behind_ns`` is the delay of the spot's row after
+    the frame's time (``Frame.row_delay_ns``).
     """
 
     camera: str
@@ -59,6 +60,7 @@ class Located:
     dust: DustCount | None = None
     opaque: str = ""
     is_shown: bool = True
+    behind_ns: int = 0
 
 
 class SpotLocator:
@@ -138,6 +140,7 @@ class SpotLocator:
             dust,
             frame.opaque,
             is_shown,
+            0 if isinstance(spot, NoSpot) else frame.row_delay_ns(spot.v_px),
         )
 
     @property

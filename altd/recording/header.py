@@ -28,6 +28,7 @@ from altd.files.table import NAME_PATTERN, Celsius
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
 from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Origin
+from altd.records.frames import MAX_ROW_TIME_US
 from altd.records.limits import MAX_LIMIT, MAX_SCALE_PPM
 
 HEADER_FILE = "recording.json"
@@ -80,6 +81,8 @@ class CameraHeader(_Header):
     exposure_ms: float | None = None
     """Exposure time of the first frame, ms, if the driver reports it; it is constant in a recording."""
     gain_db: float | None = None
+    row_time_us: Annotated[float, Field(ge=-MAX_ROW_TIME_US, le=MAX_ROW_TIME_US)] | None = None
+    """Delay of a row's exposure after the row above, µs; None: all rows at once."""
     mirrored: bool | None = None
     """Whether the camera's view of its target is mirrored, if unusual: see a plate's calibration."""
 
@@ -103,6 +106,7 @@ def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
         origin=camera.origin if camera else Origin.CAMERA,
         exposure_ms=frame.exposure_ms,
         gain_db=frame.gain_db,
+        row_time_us=frame.row_time_us or None,
     )
 
 

@@ -49,6 +49,7 @@ class Recording:
             *(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on),
             *(camera.exposure_ms, camera.gain_db),
             opaque=row.opaque,
+            row_time_us=camera.row_time_us or 0.0,
         )
 
     def sha256(self) -> str:

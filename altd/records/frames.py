@@ -17,6 +17,9 @@ ComplexArray = npt.NDArray[np.complex128]
 PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """A frame's grey values, (rows, columns)."""
 
+MAX_ROW_TIME_US = 1000.0
+"""Largest delay of a row of a rolling shutter; common are 10 to 70 µs."""
+
 
 class Origin(StrEnum):
     """Origin of frames: exposed by a camera, or computed by a simulator.
@@ -56,8 +59,9 @@ class Frame:
     """One exposure of one camera.
 
     ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits; ``t_ns`` is the
-    middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures, including lost
-    ones. ``exposure_ms`` and ``gain_db`` are reported by the camera, else its settings, else None.
+    middle of the exposure on the monotonic clock, of the middle row if a rolling shutter exposes each row
+    ``row_time_us`` after the one above; ``sequence`` counts the camera's exposures, including lost ones.
+    ``exposure_ms`` and ``gain_db`` are reported by the camera, else its settings, else None.
     ``changing``: exposure or gain was being set; the value of this frame is unknown. ``playthrough`` counts
     how often a recording was played before: its pictures are repeated intentionally. ``opaque`` names the
     target that was switched to show the spot; empty: none.
@@ -74,6 +78,11 @@ class Frame:
     changing: bool = False
     playthrough: int = 0
     opaque: str = ""
+    row_time_us: float = 0.0
+
+    def row_delay_ns(self, row: float) -> int:
+        """Return the time from the exposure of the middle row to that of another one, ns."""
+        return round((row - (len(self.pixels) - 1) / 2) * self.row_time_us * 1e3)
 
     @property
     def per_ms(self) -> float | None:

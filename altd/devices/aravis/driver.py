@@ -291,6 +291,7 @@ class AravisCamera:
             exposure_ms=opened.exposure_ms,
             gain_db=opened.gain_db,
             changing=self._changed_ns <= t_ns < self._settled_ns,
+            row_time_us=self._settings.row_time_us,
         )
 
     def _middle_ns(self, block: Block, exposure_ns: int) -> int | None:
@@ -303,7 +304,11 @@ class AravisCamera:
         start_ns = self._clock.host_ns(block.device_ns, block.arrived_ns - exposure_ns)
         if trusted and not self._clock.trusted:
             log.warning("camera %s: its clock is not plausible; frames are stamped on arrival", self.name)
-        return None if start_ns is None else start_ns + exposure_ns // 2
+        return (
+            None
+            if start_ns is None
+            else start_ns + (exposure_ns + round(self._settings.readout_ms * 1e6)) // 2
+        )
 
 
 class UsbCamera(AravisCamera):

@@ -218,7 +218,7 @@ class V4l2Camera:
             buffer.timestamp.tv_sec * 1_000_000_000 + buffer.timestamp.tv_usec * 1000,
             "monotonic" if monotonic else "unknown",
             Stamp.START_OF_EXPOSURE if begun else Stamp.END_OF_FRAME,
-            running.exposure_ms,
+            (running.exposure_ms or 0.0) + self._settings.readout_ms,
             time.monotonic_ns(),
         )
         return Frame(
@@ -228,6 +228,7 @@ class V4l2Camera:
             pixels,
             running.layout.pixel_format.bits,
             exposure_ms=running.exposure_ms,
+            row_time_us=self._settings.row_time_us,
         )
 
     @contextlib.contextmanager

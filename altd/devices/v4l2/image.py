@@ -115,8 +115,9 @@ def middle_of_exposure_ns(
 
     A stamp of an unknown clock is taken as monotonic when it is less than a second from ``now_ns``. Otherwise
     ``now_ns``, the time when the frame was taken from the driver, replaces it. Half of the exposure is added
-    to its start or subtracted from its end; an unknown exposure counts as zero. A stamp of the second kind
-    includes the readout time of the sensor, which remains: no driver reports it.
+    to its start or subtracted from its end; an unknown exposure counts as zero. The exposure of a rolling
+    shutter is that of all rows. A stamp of the second kind includes the readout time of a global shutter,
+    which remains: no driver reports it.
     """
     if clock == "unknown" and abs(stamp_ns - now_ns) > _MAX_CLOCK_DIFFERENCE_NS:
         stamp_ns = now_ns

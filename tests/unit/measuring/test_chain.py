@@ -10,7 +10,7 @@ import pytest
 from support.located import paired
 from support.measurements import beam_of, points_of
 from support.played_unit import PlayedUnit
-from support.recordings import PX_PER_MM, place_px
+from support.recordings import PX_PER_MM, picture, place_px
 
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
@@ -51,6 +51,24 @@ def test_frames_that_are_not_live_are_said_to_be_so_valid_or_not(calibration: Ca
     statuses = [[str(f) for f in m.status] for frame in frames for m in measured.push(frame)]
     assert statuses == [["warming_up", "playback"], ["playback"], ["playback"], ["playback"]]
     assert [str(fault) for fault in measured.silence(0).status][-1] == "playback"
+
+
+def test_a_moving_spot_is_dated_by_its_row(calibration: Calibration) -> None:
+    """A pitched beam moves by 10 mm/s along x; its spots are 228 rows apart, 14 ms: 0.14 mm."""
+    rng, speed_mm_per_s, row_us = np.random.default_rng(1), 10.0, 60.0
+
+    def exposed(number: int, target: str, camera: str, y_mm: float) -> Frame:
+        rows = place_px(target, 0.0, y_mm)[1] - 239.5
+        x_mm = speed_mm_per_s * (0.05 * number + rows * row_us * 1e-6)
+        pixels = picture(target, x_mm, y_mm, rng)
+        return Frame(camera, number, number * 50_000_000, pixels, row_time_us=row_us)
+
+    places = (("front", "left", 30.0), ("rear", "right", -30.0))
+    found = last(chain(calibration), [exposed(n, *place) for n in range(4) for place in places])
+    assert found.targets["front"] is not None
+    assert found.targets["rear"] is not None
+    for x_mm in (found.targets["front"]["x_mm"].value, found.targets["rear"]["x_mm"].value):
+        assert x_mm == pytest.approx(speed_mm_per_s * found.t_ns * 1e-9, abs=0.01)
 
 
 def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None:
