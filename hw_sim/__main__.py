@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from altd.cli.arguments import Parser
 from altd.process.endings import run_to_end
-from hw_sim import demo, flat, measure, planar, planar_demo, plate, scan
+from hw_sim import demo, desk, flat, measure, planar, planar_demo, plate, scan
 from hw_sim.gige import command as gige
 from hw_sim.row import command as row
 from hw_sim.row import demo as row_demo
@@ -20,6 +20,7 @@ COMMANDS = {
     "planar": (planar_demo, "run the daemon on a plate that a machine moves; show values and truth"),
     "planar-recording": (planar, "record a plate with LEDs that moves in its plane"),
     "chain-demo": (row_demo, "run the daemon on a row of glass targets; show values and truth"),
+    "desk": (desk, "record a unit of two webcams: screen plates, beams and their truth"),
     "chain": (row, "record a row of switched glass targets: scans, rounds, settings"),
 }
 """Modules of the commands; each has ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""

@@ -24,14 +24,20 @@ HALF_AREA_MM = (70.0, 55.0)
 """Half of the 140 × 110 mm of App. A.1, which contain both spots of every pose."""
 
 
-def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator) -> list[BeamPose]:
+def random_poses(
+    count: int,
+    target_distance_mm: float,
+    rng: np.random.Generator,
+    half_area_mm: tuple[float, float] = HALF_AREA_MM,
+    max_slopes: tuple[float, float] = (MAX_YAW_SLOPE, MAX_PITCH_SLOPE),
+) -> list[BeamPose]:
     """Draw poses with even front spots over the area and slopes as even as the rear target allows."""
     poses: list[BeamPose] = []
     while len(poses) < count:
-        x_mm, y_mm = rng.uniform(-1.0, 1.0, size=2) * HALF_AREA_MM
-        slope_x, slope_y = rng.uniform(-1.0, 1.0, size=2) * (MAX_YAW_SLOPE, MAX_PITCH_SLOPE)
+        x_mm, y_mm = rng.uniform(-1.0, 1.0, size=2) * half_area_mm
+        slope_x, slope_y = rng.uniform(-1.0, 1.0, size=2) * max_slopes
         pose = BeamPose(float(x_mm), float(y_mm), float(slope_x), float(slope_y))
-        if np.all(np.abs(pose.at(target_distance_mm)) <= HALF_AREA_MM):
+        if np.all(np.abs(pose.at(target_distance_mm)) <= half_area_mm):
             poses.append(pose)
     return poses
 

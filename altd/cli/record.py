@@ -28,7 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "new folder for the recording")
-    parser.add_argument("--seconds", type=_seconds, required=True, metavar="S", help="duration")
+    parser.add_argument(
+        "--seconds",
+        type=partial(_positive, "a number of seconds up to one day", 86_400),
+        required=True,
+        metavar="S",
+        help="duration",
+    )
     parser.add_argument(
         "--kind",
         choices=("measurement", "flat", "plate", "self-check"),
@@ -51,6 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--target",
         metavar="NAME",
         help="record only the camera of this target, where the plate is (default: plates on all targets)",
+    )
+    parser.add_argument(
+        "--beam",
+        type=partial(_positive, "a diameter up to 50 mm", 50),
+        metavar="MM",
+        help="1/e² diameter of the laser spot that will be measured, with `--plate` (default: 12)",
     )
     stated = parser.add_mutually_exclusive_group()
     stated.add_argument(
@@ -81,6 +93,10 @@ def run(options: argparse.Namespace) -> int:
             if options.plate is None
             else "requires `--kind plate`",
         )
+    if options.beam is not None and options.plate is None:
+        raise BadInputError("--beam", "requires `--plate`")
+    if options.beam is not None:
+        options.plate = options.plate.model_copy(update={"beam_mm": options.beam})
     if options.placed:
         options.plate = _placed(options.plate, options.placed)
     config = load_settings(options.config)
@@ -123,13 +139,14 @@ def _only(config: Config, name: str) -> Config:
     return config.model_copy(update={"targets": (target,), "cameras": cameras})
 
 
-def _seconds(text: str) -> float:
+def _positive(what: str, limit: float, text: str) -> float:
+    """Return a number above 0 up to a limit."""
     try:
         value = float(text)
     except ValueError:
         value = -1.0
-    if not 0 < value <= 86_400:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds up to one day")
+    if not 0 < value <= limit:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
     return value
 
 

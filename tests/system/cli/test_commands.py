@@ -149,14 +149,15 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     record = ("record", "--config", config, "-o", kept, "--seconds", "60", "--kind", "plate")
     assert "altd record: --plate: C,R,MM must follow `--kind plate`" in refusal(altd_here(*record))
     assert "--plate: requires `--kind plate`" in refusal(altd_here(*record[:-1], "flat", "--plate", "7,5,25"))
-    outcome = altd_here(*record, "--plate", "7,5,25")
+    assert "--beam: requires `--plate`" in refusal(altd_here(*record[:-1], "flat", "--beam", "5.5"))
+    outcome = altd_here(*record, "--plate", "7,5,25", "--beam", "5.5")
     assert outcome.status == 0, outcome.err
     assert json.loads((kept / "recording.json").read_text())["plate"] == {
         "columns": 7,
         "rows": 5,
         "pitch_mm": 25.0,
         "origin_mm": [-75.0, -50.0],
-        "beam_mm": 12.0,
+        "beam_mm": 5.5,
     }
     assert ",on," not in (kept / "frames.csv").read_text()
     outcome = altd_here("calibrate", kept, "-o", output)

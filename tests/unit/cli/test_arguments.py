@@ -61,6 +61,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         (("record", "-o", "x", "--seconds", "1", "--placed", "1,2"), "'1,2' is not a placing; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "3,5,25"), "'3,5,25' is not a plate; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,nan"), "'7,5,nan' is not a plate; possible"),
+        (("record", "-o", "x", "--seconds", "1", "--beam", "0"), "'0' is not a diameter up to 50 mm"),
         (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),
         (
             ("check-config", "a.toml", "--config", "b.toml"),
