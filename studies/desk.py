@@ -29,7 +29,13 @@ ROW_TIME_US = 65.0
 WRONG_SIGMAS = 5.0
 
 SCREEN = Screen(stated={"beam_mm": 5.5})
-"""``stated`` goes into the plate's header: the uncertainty of the pitch belongs here as well."""
+"""``stated`` goes into the plate's header. This screen lies exactly, and its pitch is exact."""
+NOT_STATED: dict[str, object] = {}
+STATED = {
+    "pitch_sigma_mm": 0.01 * SCREEN.pitch_mm,
+    "placed": {"sigma_mm": 0.0, "sigma_deg": 2.0, "camera_mm": 200.0},
+}
+"""1 % of the scale and 2° of tilt, one sigma each."""
 USUAL = Webcam(gamma=2.2)
 
 COLUMNS = (
@@ -71,8 +77,17 @@ CASES = (
     Case("gain hunts by 20 %", replace(USUAL, hunting=0.2)),
     Case("defocused, 3 px", blur_px=3.0),
     Case("beam of 12 mm stated", screen=replace(SCREEN, stated={})),
-    Case("scale wrong by 1 %", screen=replace(SCREEN, scale_error=0.01)),
-    Case("screen tilted by 2°", screen=replace(SCREEN, tilt_deg=2.0)),
+    *(
+        Case(
+            f"{mistake}, {'stated' if of else 'not stated'}",
+            screen=replace(wrong, stated={**SCREEN.stated, **of}),
+        )
+        for mistake, wrong in (
+            ("scale wrong by 1 %", replace(SCREEN, scale_error=0.01)),
+            ("screen tilted by 2°", replace(SCREEN, tilt_deg=2.0)),
+        )
+        for of in (NOT_STATED, STATED)
+    ),
 )
 
 
@@ -194,8 +209,9 @@ spots are refused as `distorted` or `wrong_shape`. What passes is right, with a 
 large.
 
 **Mistakes.** A gain that hunts and a defocused lens change nothing. A wrong scale, a tilted screen and a
-wrong `beam_mm` (`altd record --beam`) fit any camera, so two plates alone do not show them: without their
-uncertainty in the plate's header such values are wrong and valid.
+wrong `beam_mm` (`altd record --beam`) fit any camera, so two plates alone do not show them. Values are wrong
+and valid if the plate's header does not state scale and tilt as uncertain, so `altd record` refuses such a
+plate of a unit on a desk; with the statement they are in sigma.
 """,
         figure=figure,
         caption="Errors of a desk unit and their ratio to sigma; lines: the aim of 0.05 mm, and 1.25",

@@ -86,23 +86,10 @@ def run(options: argparse.Namespace) -> int:
     from altd.ports import CameraError, LampsError
     from altd.records import counted
 
-    if (options.kind == "plate") is not (options.plate is not None):
-        raise BadInputError(
-            "--plate",
-            "C,R,MM must follow `--kind plate`: columns, rows and pitch of its LEDs"
-            if options.plate is None
-            else "requires `--kind plate`",
-        )
-    if options.beam is not None and options.plate is None:
-        raise BadInputError("--beam", "requires `--plate`")
-    if options.beam is not None:
-        options.plate = options.plate.model_copy(update={"beam_mm": options.beam})
-    if options.placed:
-        options.plate = _placed(options.plate, options.placed)
+    _check_plate_options(options)
     config = load_settings(options.config)
+    plate = options.plate and _stated(options, config.unit.kind == "desk")
     if options.target is not None:
-        if options.plate is None:
-            raise BadInputError("--target", "requires `--kind plate`")
         config = _only(config, options.target)
     show, kept = progress_on("exposures"), 0
 
@@ -112,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
         show(done, planned)
 
     with logging_to_stderr(logging.WARNING):
-        shows = options.pose or options.joints or options.plate or options.kind
+        shows = options.pose or options.joints or plate or options.kind
         work = record_of(config, options.config, options.output, options.seconds, shows, progress)
         try:
             exposures = asyncio.run(until_signal(work))
@@ -128,6 +115,19 @@ def run(options: argparse.Namespace) -> int:
             return 1
     print_errors(f"{counted(exposures, 'exposure')} in {options.output}")
     return 0
+
+
+def _check_plate_options(options: argparse.Namespace) -> None:
+    if (options.kind == "plate") is not (options.plate is not None):
+        raise BadInputError(
+            "--plate",
+            "C,R,MM must follow `--kind plate`: columns, rows and pitch of its LEDs"
+            if options.plate is None
+            else "requires `--kind plate`",
+        )
+    for name in ("beam", "placed", "target"):
+        if getattr(options, name) is not None and options.plate is None:
+            raise BadInputError(f"--{name}", "requires `--kind plate`")
 
 
 def _only(config: Config, name: str) -> Config:
@@ -185,15 +185,25 @@ def _plate(text: str) -> PlateHeader:
         ) from None
 
 
-def _placed(plate: PlateHeader | None, stated: Mapping[str, float]) -> PlateHeader:
-    """Return the plate with the statement how well it lies on the target."""
+def _stated(options: argparse.Namespace, is_on_desk: bool) -> PlateHeader:
+    """Return the plate as the options state it; raises BadInputError."""
     from pydantic import ValidationError
 
     from altd.recording.header import PlacedHeader
 
-    if plate is None or plate.pitch_sigma_mm is None:
-        raise BadInputError("--placed", "requires `--plate C,R,MM,SIGMA_MM`")
-    try:
-        return plate.model_copy(update={"placed": PlacedHeader(**stated)})
-    except ValidationError:
-        raise BadInputError("--placed", "needs MM and DEG from 0, CAMERA_MM from 20") from None
+    plate: PlateHeader = options.plate
+    if options.beam is not None:
+        plate = plate.model_copy(update={"beam_mm": options.beam})
+    if options.placed:
+        if plate.pitch_sigma_mm is None:
+            raise BadInputError("--placed", "requires `--plate C,R,MM,SIGMA_MM`")
+        try:
+            plate = plate.model_copy(update={"placed": PlacedHeader(**options.placed)})
+        except ValidationError:
+            raise BadInputError("--placed", "needs MM and DEG from 0, CAMERA_MM from 20") from None
+    elif is_on_desk:
+        raise BadInputError(
+            "--plate",
+            "of a unit on a desk requires C,R,MM,SIGMA_MM and --placed: no picture shows its scale or tilt",
+        )
+    return plate

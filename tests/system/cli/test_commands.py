@@ -149,7 +149,7 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     record = ("record", "--config", config, "-o", kept, "--seconds", "60", "--kind", "plate")
     assert "altd record: --plate: C,R,MM must follow `--kind plate`" in refusal(altd_here(*record))
     assert "--plate: requires `--kind plate`" in refusal(altd_here(*record[:-1], "flat", "--plate", "7,5,25"))
-    assert "--beam: requires `--plate`" in refusal(altd_here(*record[:-1], "flat", "--beam", "5.5"))
+    assert "--beam: requires `--kind plate`" in refusal(altd_here(*record[:-1], "flat", "--beam", "5.5"))
     outcome = altd_here(*record, "--plate", "7,5,25", "--beam", "5.5")
     assert outcome.status == 0, outcome.err
     assert json.loads((kept / "recording.json").read_text())["plate"] == {
@@ -171,6 +171,11 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     ):
         refused = altd_here(*screen[:4], tmp_path / "none", *screen[5:], option, value)
         assert f"altd record: {option}: {why}" in refusal(refused)
+    config.write_text(config.read_text().replace("[unit]", '[unit]\nkind = "desk"'))
+    unstated = refusal(altd_here(*screen[:4], tmp_path / "none", *screen[5:]))
+    assert "altd record: --plate: of a unit on a desk requires C,R,MM,SIGMA_MM and --placed" in refusal(
+        unstated
+    )
     for name in ("front", "rear"):
         on_one = (*screen[:4], tmp_path / name, *screen[5:], "--target", name, "--placed", "0.5,0.5,350")
         outcome = altd_here(*on_one)
