@@ -111,8 +111,8 @@ DEFECTS = (
     Defect(
         "light that one spot does not explain is left out of the covariance of a mean",
         "altd/measuring/averaging.py",
-        "covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)),",
-        "covariance_px2=covariance_px2,",
+        "covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)) + of_delays_px2,",
+        "covariance_px2=covariance_px2 + of_delays_px2,",
     ),
 )
 

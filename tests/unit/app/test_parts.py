@@ -36,7 +36,7 @@ def test_a_recording_or_scan_sets_the_live_cameras_that_are_not_left_to_themselv
 def test_cameras_that_altd_triggers_share_instants_that_the_slower_one_can_take(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    driver = SimpleNamespace(AravisCamera=Mock())
+    driver = SimpleNamespace(AravisCamera=Mock(), UsbCamera=Mock())
     monkeypatch.setitem(sys.modules, "altd.devices.aravis.driver", driver)
     live = {"driver": "aravis", "trigger": "software"}
     cameras = {n: live | {"device": n, "exposure": {"longest_ms": ms}} for n, ms in (("a", 40.0), ("b", 5.0))}
