@@ -21,7 +21,8 @@ def test_a_camera_a_chip_and_a_port_are_told_in_the_words_of_the_config(tmp_path
     cameras = section(out, 'Cameras: [cameras.NAME], driver = "v4l2"')
     assert cameras[0] == 'device = "/dev/v4l/by-path/pci-0000:00:14.0-usb-0:2:1.0-video-index0"'
     assert cameras[1] == "vivid, kernel driver vivid"
-    assert 'pixel_format = "GREY": 320 × 180, 640 × 360, 640 × 480' in cameras[2]
+    assert cameras[2] == "no serial number: known by its port, the device above"
+    assert 'pixel_format = "GREY": 320 × 180, 640 × 360, 640 × 480' in cameras[3]
     assert "brightness 0 to 255, contrast 0 to 255, saturation 0 to 255, hue -128 to 128" in " ".join(cameras)
     chips = section(out, "GPIO chips: [lamps], [indicators]")
     assert chips == [

@@ -173,9 +173,7 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
         assert f"altd record: {option}: {why}" in refusal(refused)
     config.write_text(config.read_text().replace("[unit]", '[unit]\nkind = "desk"'))
     unstated = refusal(altd_here(*screen[:4], tmp_path / "none", *screen[5:]))
-    assert "altd record: --plate: of a unit on a desk requires C,R,MM,SIGMA_MM and --placed" in refusal(
-        unstated
-    )
+    assert "altd record: --plate: of a unit on a desk requires C,R,MM,SIGMA_MM and --placed" in unstated
     for name in ("front", "rear"):
         on_one = (*screen[:4], tmp_path / name, *screen[5:], "--target", name, "--placed", "0.5,0.5,350")
         outcome = altd_here(*on_one)
