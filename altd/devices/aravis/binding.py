@@ -64,9 +64,6 @@ def _typed_errors(what: str) -> Iterator[None]:
 class Device:
     """An open camera with the features of GenICam, on any interface."""
 
-    controlled = True
-    """Whether we have control, as far as it is known without a request."""
-
     def __init__(self, device: Any) -> None:
         self._device = device
         self._camera = Aravis.Camera.new_with_device(device)
@@ -81,6 +78,11 @@ class Device:
     def closed(self) -> bool:
         """Whether the camera was released; then it cannot be used."""
         return self._device is None
+
+    @property
+    def controlled(self) -> bool:
+        """Whether we have control, as far as it is known without a request."""
+        return True
 
     def has(self, feature: str) -> bool:
         """Whether the camera has a feature that can be used now."""
@@ -236,7 +238,7 @@ class GigeDevice(Device):
             super().__init__(device)
 
     @property
-    def controlled(self) -> bool:  # type: ignore[override]
+    def controlled(self) -> bool:
         """Whether we have control, according to the last heartbeat; sends nothing."""
         return bool(self._device.is_controller())
 
