@@ -9,6 +9,10 @@ from pathlib import Path
 
 from altd.ports import Stop
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_AT_ONCE_NS = 50_000  # between two clocks' readings: under a microsecond if nothing suspends the thread
+_READINGS = 10
+
 
 def time_zone(link: Path = Path("/etc/localtime")) -> str:
     """Return the IANA name of the computer's time zone, as tzset(3) and systemd know it.
@@ -31,8 +35,19 @@ class SystemClock:
         return time.monotonic_ns()
 
     def utc(self, t_ns: int) -> datetime:
-        """Return the UTC of a monotonic instant; it changes when the system's clock is set."""
-        return datetime.now(UTC) - timedelta(microseconds=(time.monotonic_ns() - t_ns) / 1000)
+        """Return the UTC of a monotonic instant; it changes when the system's clock is set.
+
+        A thread that is suspended between its readings of the two clocks would shift the result by
+        milliseconds, and with it the time of a whole recording. It reads them again then.
+        """
+        readings = []
+        for _ in range(_READINGS):
+            before_ns, utc_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+            readings.append((after_ns - before_ns, utc_ns - (before_ns + after_ns) // 2))
+            if after_ns - before_ns < _AT_ONCE_NS:
+                break
+        _, offset_ns = min(readings)
+        return _EPOCH + timedelta(microseconds=(offset_ns + t_ns) // 1000)
 
     async def sleep(self, seconds: float) -> None:
         """Sleep in the event loop."""

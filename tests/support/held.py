@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _ANSWER_WITHIN_S = 20.0
+_VALID_AGAIN_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Answer:
 def hold(pid: int, modbus_port: int, http_port: int, hold_s: float, polls_s: float) -> list[Answer]:
     """Stop the process for ``hold_s``, resume it, and poll both interfaces as fast as they answer meanwhile.
 
-    Each interface has a request waiting before the process is resumed.
+    Each interface has a request waiting before the process is resumed, and is polled until it is valid again.
     """
     answers: list[Answer] = []
     with _modbus(modbus_port) as read_registers, _http(http_port) as get:
@@ -49,8 +50,9 @@ def hold(pid: int, modbus_port: int, http_port: int, hold_s: float, polls_s: flo
 
 
 def _poll(ask: Callable[[], Answer], until_s: float, answers: list[Answer]) -> None:
-    while time.monotonic() < until_s:
-        answers.append(ask())
+    answers.append(answer := ask())
+    while time.monotonic() < until_s + (0.0 if answer.valid else _VALID_AGAIN_S):
+        answers.append(answer := ask())
 
 
 @contextlib.contextmanager

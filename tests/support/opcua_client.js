@@ -29,7 +29,7 @@ async function main() {
     securityPolicy: asked.secure ? SecurityPolicy.Basic256Sha256 : SecurityPolicy.None,
     ...(asked.server_certificate && { serverCertificate: der(asked.server_certificate) }),
     ...(asked.certificate && { certificateFile: asked.certificate, privateKeyFile: asked.key }),
-    transportTimeout: 5000,
+    transportTimeout: 30000,
   });
   await client.connect(url);
   const user = asked.user && { type: opcua.UserTokenType.UserName, userName: asked.user, password: asked.password };
