@@ -121,25 +121,32 @@ def _packed(
 
 
 _JPEG_BEGIN, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
-_JPEG_SIZES = frozenset({0xC0, 0xC1, 0xC2})
-"""Markers of frames with their size: baseline, extended and progressive (ITU-T T.81, table B.1)."""
+_JPEG_SIZES = frozenset({0xC0, 0xC1})
+"""Markers of frames with their size: baseline and extended (ITU-T T.81, table B.1); none is progressive."""
+_JPEG_GOES_ON = bytes(8)
 
 
 def _decoded(data: Bytes, width: int, height: int) -> PixelArray:
-    """Luminance of a JPEG of this size; raises ValueError for anything else, also for one that is cut off.
+    """Luminance of a JPEG of this size; raises ValueError for anything else, also for one that lacks bytes.
 
-    The size is read first: a decoder allocates what a picture claims. It fills a lost end with grey.
+    The size is read first: a decoder allocates what a picture claims. At the end marker it fills what is
+    missing with grey. Without that marker it fails: there are only the few bytes that it reads ahead.
+    A picture is as the sensor has it, whatever orientation it claims.
     """
     content = bytes(data).rstrip(b"\0")
-    if not content.startswith(_JPEG_BEGIN) or not content.endswith(_JPEG_END):
+    if not content.startswith(_JPEG_BEGIN):
         raise ValueError("is no whole JPEG")
     at = len(_JPEG_BEGIN)
     while content[at : at + 1] == b"\xff" and content[at + 1] not in _JPEG_SIZES:
         at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
     size = content[at + 5 : at + 9]
     if size != height.to_bytes(2, "big") + width.to_bytes(2, "big"):
-        raise ValueError("is a JPEG of another size")
-    decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        raise ValueError("is a JPEG of another size or kind")
+    end = content.find(_JPEG_END, at)
+    if end < 0 or end + len(_JPEG_END) < len(content):
+        raise ValueError("is no whole JPEG")
+    endless = np.frombuffer(content[:end] + _JPEG_GOES_ON, np.uint8)
+    decoded = cv2.imdecode(endless, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     if decoded is None:
         raise ValueError("is no JPEG that can be decoded")
     return decoded.astype(np.uint8, copy=False)

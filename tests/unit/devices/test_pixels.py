@@ -79,9 +79,17 @@ def test_a_line_that_does_not_end_with_a_byte_is_refused(name: str) -> None:
         PIXEL_FORMATS[name].line_bytes(751)
 
 
-@pytest.mark.parametrize("options", [(), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)])
-def test_a_jpeg_is_decoded_and_bytes_of_the_buffer_behind_it_do_not_matter(options: tuple[int, ...]) -> None:
-    data = jpeg(SMOOTH, *options) + bytes(9)
+def turned(orientation: int) -> bytes:
+    """The JPEG whose Exif data claim an orientation (Exif 2.32, 4.6.4)."""
+    exif = b"Exif\0\0MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x112, 3, 1, orientation, 0, 0)
+    return WHOLE[:2] + b"\xff\xe1" + struct.pack(">H", 2 + len(exif)) + exif + WHOLE[2:]
+
+
+@pytest.mark.parametrize(
+    "data", [WHOLE, jpeg(SMOOTH, cv2.IMWRITE_JPEG_RST_INTERVAL, 4), turned(2), turned(3), turned(6)]
+)
+def test_a_jpeg_is_decoded_as_the_sensor_has_it_whatever_follows_in_the_buffer(data: bytes) -> None:
+    data += bytes(9)
     pixels = PIXEL_FORMATS["MJPG"].pixels(memoryview(data), WIDTH, HEIGHT, 0)
     np.testing.assert_allclose(pixels, SMOOTH, atol=4)
     assert not pixels.flags.writeable
@@ -107,10 +115,15 @@ def as_claimed(whole: bytes, width: int, height: int) -> bytes:
         as_claimed(WHOLE, WIDTH, 2 * HEIGHT),
         jpeg(SMOOTH[:, :64]),
         WHOLE[:200] + b"\xff\xd9",
+        WHOLE[: len(WHOLE) // 2] + b"\xff\xd9",
+        WHOLE[: len(WHOLE) // 2] + WHOLE[len(WHOLE) // 2 + 40 :],
+        WHOLE[: len(WHOLE) // 2] + b"\xff\xd9" + WHOLE,
+        WHOLE + WHOLE,
+        jpeg(SMOOTH, cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
         bytes(100),
         np.random.default_rng(2).bytes(3000),
     ],
 )
-def test_a_jpeg_that_is_cut_off_of_another_size_or_none_is_no_frame(data: bytes) -> None:
+def test_a_jpeg_that_lacks_bytes_is_of_another_size_or_kind_or_none_is_no_frame(data: bytes) -> None:
     with pytest.raises(ValueError, match="JPEG"):
         PIXEL_FORMATS["MJPG"].pixels(data, WIDTH, HEIGHT, 0)
