@@ -198,7 +198,7 @@ async def test_a_screen_shows_the_plate_that_its_option_states(
         page = shown.page
         await page.goto(f"http://127.0.0.1:{shown.cable.port}/screen")
         await page.context.set_offline(True)  # as if the daemon were stopped
-        assert await page.locator("#option").text_content() == "fill in all numbers"
+        assert await page.locator("#option").text_content() == "length: a number from 20 to 3000"
         assert await page.locator("#show").is_disabled()
         bar = await _lit(shown)
         (bar_px,) = (int(width) for width, height in bar.stats[1:, 2:4] if width > 10 * height)
@@ -235,6 +235,96 @@ async def test_a_screen_shows_the_plate_that_its_option_states(
         await page.keyboard.press("x")
         assert await page.locator("#setup").is_visible()
         assert shown.complaints == []
+
+
+ELSEWHERE = "another screen or zoom: measure the bar again"
+
+
+@pytest.mark.parametrize(
+    ("size", "screen", "ratio", "pinched", "says"),
+    [
+        ((1000, 700), (1366, 768), 1.0, 1.0, None),  # the window alone
+        ((300, 700), (1366, 768), 1.0, 1.0, "does not fit: 3 columns, 6 rows at most, or a smaller pitch"),
+        ((768, 1366), (768, 1366), 1.0, 1.0, None),  # the screen was turned
+        ((1366, 768), (1366, 768), 1.25, 1.0, ELSEWHERE),
+        ((1093, 614), (1366, 768), 1.25, 1.0, ELSEWHERE),
+        ((1366, 768), (1920, 1080), 1.0, 1.0, ELSEWHERE),
+        ((1366, 768), (1366, 768), 1.0, 1.5, "the page is zoomed with two fingers: zoom out"),
+    ],
+)
+async def test_a_plate_that_is_shown_keeps_its_pitch_or_the_page_says_why_not(
+    started: Browser,
+    running: LedUnit,
+    size: tuple[int, int],
+    screen: tuple[int, int],
+    ratio: float,
+    pinched: float,
+    says: str | None,
+) -> None:
+    """The window, the screen, its pixels and the zoom change while the discs are shown."""
+    width, height = 1366, 768
+    async with seen(started, running, (width, height), screen={"width": width, "height": height}) as shown:
+        page, option = shown.page, shown.page.locator("#option")
+        await page.goto(f"http://127.0.0.1:{shown.cable.port}/screen")
+        for name, text in {"length": "273,5", "columns": "4", "rows": "4", "pitch": "25"}.items():
+            await page.locator(f"#{name}").fill(text)
+        stated = await option.text_content()
+        await page.locator("#show").click()
+        step_px = await _step_px(shown)
+        devtools = await page.context.new_cdp_session(page)
+        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": ratio, "mobile": False}
+        metrics |= {"screenWidth": screen[0], "screenHeight": screen[1]}
+        await devtools.send("Emulation.setDeviceMetricsOverride", metrics)
+        await devtools.send("Emulation.setPageScaleFactor", {"pageScaleFactor": pinched})
+        if says is None:
+            await page.wait_for_function("plate.width === innerWidth")
+            assert await _step_px(shown) == step_px
+            await page.keyboard.press("x")
+        await page.locator("#setup").wait_for()
+        assert await option.text_content() == (says or stated)
+        assert shown.complaints == []
+
+
+async def _step_px(shown: Seen) -> float:
+    """Distance of neighbours in the first row of sixteen discs."""
+    while len((found := await _lit(shown)).centroids) != 17:  # noqa: ASYNC110  they are lit again unasked
+        await asyncio.sleep(0.1)
+    columns = np.unique(np.rint(2 * found.centroids[1:, 0]) / 2)
+    assert np.ptp(np.diff(columns)) == 0
+    return float(columns[1] - columns[0])
+
+
+async def test_a_plate_is_described_by_what_was_entered_and_by_no_accident(
+    started: Browser, running: LedUnit
+) -> None:
+    """A decimal comma; numbers that are none; a touch that ends the picture and moves; a larger window."""
+    async with seen(started, running, (1366, 768)) as shown:
+        page, option = shown.page, shown.page.locator("#option")
+        await page.goto(f"http://127.0.0.1:{shown.cable.port}/screen")
+        for name, label, text in [
+            *(("pitch", "pitch", text) for text in ("", "-5", "1e9", "abc", "1.234,5", "5 mm", "0", "NaN")),
+            ("columns", "columns", "3"),
+            ("error", "read to ±", "0"),
+            ("disc", "discs", "1e9"),
+        ]:
+            await page.locator("#length").fill("273,5")
+            usual = await page.locator(f"#{name}").input_value()
+            await page.locator(f"#{name}").fill(text)
+            assert str(await option.text_content()).startswith(f"{label}: a number from ")
+            assert await page.locator("#show").is_disabled()
+            await page.locator(f"#{name}").fill(usual)
+        await page.locator("#pitch").fill("12,5")
+        stated = str(await option.text_content())
+        assert float(stated.split(",")[2]) == pytest.approx(12.5, abs=0.1)
+        await page.locator("#show").click()
+        await page.mouse.move(500, 40)
+        await page.mouse.down()
+        await page.mouse.move(420, 41)
+        await page.mouse.up()
+        await page.mouse.click(20, 600)
+        await page.set_viewport_size({"width": 1500, "height": 800})
+        await page.locator("#length").fill("273,5")
+        assert await option.text_content() == stated
 
 
 @dataclass(frozen=True)

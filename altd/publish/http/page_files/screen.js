@@ -3,25 +3,40 @@
 
 const CARD_MM = 85.60;  // ISO/IEC 7810, ID-1
 const LIT_MS = 4000, DARK_MS = 4000;  // both in any recording of 10 s, however it begins
-const BAR_TOP_CSS = 24, BAR_HEIGHT_CSS = 40, LEFT_CSS = 16, MIN_BAR_PX = 50, COARSE_PX = 10;
+const BAR_TOP_CSS = 24, BAR_HEIGHT_CSS = 40, FORM_TOP_CSS = 80, LEFT_CSS = 16, MIN_BAR_PX = 50, COARSE_PX = 10;
+const LIMITS = { length: [20, 3000], error: [0.01, 20], columns: [4, 100], rows: [4, 100], pitch: [2, 1000], disc: [0.5, 100] };
 
 const field = name => document.getElementById(name);
 const canvas = field("plate"), context = canvas.getContext("2d");
-let barPx = 0, isBarSet = false, isShowing = false, isLit = false, timer = 0;
+let barPx = 0, isBarSet = false, isBarHeld = false, isShowing = false, isLit = false, timer = 0;
+let measuredOn = "", isElsewhere = false;
 
 const left = () => Math.round(LEFT_CSS * devicePixelRatio);
 const longestBar = () => canvas.width - 2 * left();
-const number = name => field(name).valueAsNumber;
+// A decimal comma is read too: a field of type number would drop it, and 12,5 be 125.
+const number = name => Number(field(name).value.trim().replace(",", ".") || NaN);
+
+// What a pixel's size depends on: the zoom and the screen, however it is turned.
+const screenNow = () => [devicePixelRatio, screen.width + screen.height, screen.availLeft, screen.availTop].join();
+
+function unfilled() {
+  if ((visualViewport?.scale ?? 1) !== 1) return "the page is zoomed with two fingers: zoom out";
+  if (isElsewhere) return "another screen or zoom: measure the bar again";
+  const within = ([name, [low, high]]) => number(name) >= low && number(name) <= high;
+  const wrong = Object.entries(LIMITS).find(limit => !within(limit));
+  return wrong && `${field(wrong[0]).labels[0].firstChild.data.trim()}: a number from ${wrong[1].join(" to ")}`;
+}
 
 // The plate on device pixels, or why there is none.
 function plateOf({ columns, rows, wishedMm, discMm, barPx, barMm, errorMm, width, height }) {
+  const why = unfilled();
+  if (why) return { why };
   const mmPerPx = barMm / barPx, pitchPx = Math.round(wishedMm / mmPerPx), radiusPx = Math.round(discMm / mmPerPx / 2);
   const most = [width, height].map(px => Math.floor((px - 2 * radiusPx) / pitchPx) + 1);
-  if (![columns, rows, pitchPx, radiusPx, errorMm].every(value => value > 0) || columns % 1 || rows % 1) return { why: "fill in all numbers" };
-  if (columns < 4 || rows < 4) return { why: "at least 4 columns and 4 rows" };
+  if (columns % 1 || rows % 1) return { why: "columns and rows: whole numbers" };
   if (radiusPx < 3 || 2 * radiusPx > 0.6 * pitchPx) return { why: "discs of 6 pixels at least, and of half of the pitch at most" };
   if (columns > most[0] || rows > most[1]) return { why: `does not fit: ${most[0]} columns, ${most[1]} rows at most, or a smaller pitch` };
-  const pitchMm = pitchPx * mmPerPx, sigmaMm = pitchMm * errorMm / Math.sqrt(3) / barMm;
+  const pitchMm = pitchPx * mmPerPx, sigmaMm = Math.ceil(1e4 * pitchMm * errorMm / Math.sqrt(3) / barMm) / 1e4;
   return { columns, rows, pitchPx, radiusPx, pitchMm, sigmaMm,
     firstX: Math.round((width - (columns - 1) * pitchPx) / 2), firstY: Math.round((height - (rows - 1) * pitchPx) / 2),
     option: `--plate ${columns},${rows},${pitchMm.toFixed(4)},${sigmaMm.toFixed(4)}` };
@@ -40,6 +55,10 @@ function ticks({ firstX, firstY, columns, rows, pitchPx }) {
 }
 
 function draw() {
+  if (measuredOn && measuredOn !== screenNow()) {
+    field("length").value = measuredOn = "";
+    isElsewhere = true;
+  }
   const { width, height } = canvas, found = plate();
   context.fillStyle = "#000";
   context.fillRect(0, 0, width, height);
@@ -83,6 +102,13 @@ function stop() {
   draw();
 }
 
+function measure() {
+  measuredOn = screenNow();
+  isBarSet = true;  // the length is that of this bar, also in a larger window
+  isElsewhere = false;
+  draw();
+}
+
 function setBar(px) {
   isBarSet = true;
   barPx = Math.min(Math.max(Math.round(px), MIN_BAR_PX), longestBar());
@@ -98,19 +124,29 @@ function fit() {
   draw();
 }
 
+// Another screen may have the same size in the page's own pixels: then there is no resize.
+function watchRatio() {
+  matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => { fit(); watchRatio(); }, { once: true });
+}
+
 addEventListener("resize", fit);
+window.visualViewport?.addEventListener("resize", draw);
+watchRatio();
 fit();
+field("length").addEventListener("input", measure);
 field("setup").addEventListener("input", draw);
 field("setup").addEventListener("submit", event => { event.preventDefault(); show(); });
 field("full").addEventListener("click", () => document.documentElement.requestFullscreen?.());
-field("card").addEventListener("click", () => { field("length").value = CARD_MM; draw(); });
+field("card").addEventListener("click", () => { field("length").value = CARD_MM; measure(); });
 canvas.addEventListener("pointerdown", event => {
+  isBarHeld = !isShowing && event.clientY < FORM_TOP_CSS;  // not by the touch that ends the picture
   if (isShowing) return stop();
+  if (!isBarHeld) return;
   canvas.setPointerCapture(event.pointerId);
   setBar(event.clientX * devicePixelRatio - left());
 });
 canvas.addEventListener("pointermove", event => {
-  if (!isShowing && event.buttons) setBar(event.clientX * devicePixelRatio - left());
+  if (isBarHeld && event.buttons) setBar(event.clientX * devicePixelRatio - left());
 });
 addEventListener("keydown", event => {
   if (isShowing) { event.preventDefault(); return stop(); }
