@@ -157,6 +157,13 @@ class LiveCameraSettings(CameraSettings):
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     """The camera's serial number (`altd devices`). Another camera is ``wrong_camera``."""
 
+    @model_validator(mode="after")
+    def _check_readout(self) -> Self:
+        if self.readout_ms > 1000 / self.fps:
+            said = f"{self.row_time_us:g} makes {self.height} rows last longer than a frame; possible: up to "
+            raise complaint((("row_time_us",), f"{said}{1e6 / self.fps / (self.height - 1):.1f} either way"))
+        return self
+
     @property
     def readout_ms(self) -> float:
         """Time from the exposure of the first row to that of the last one, ms."""

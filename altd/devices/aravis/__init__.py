@@ -6,9 +6,9 @@ import ipaddress
 import re
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from altd.devices.settings import Driver, LiveCameraSettings
 from altd.devices.trigger_times import TriggerTimes
@@ -102,6 +102,13 @@ class AravisCameraSettings(LiveCameraSettings):
     """Temperature inside the camera below which the unit is out of specification, °C."""
     max_celsius: Celsius = 60.0
     """Temperature inside the camera above which the unit is out of specification, °C."""
+
+    @model_validator(mode="after")
+    def _check_interface(self) -> Self:
+        keys = sorted({"packet_bytes", "resend"} & self.model_fields_set)
+        if self.interface == "usb" and keys:
+            raise complaint(*(((key,), 'is for interface = "gige" alone') for key in keys))
+        return self
 
     @property
     def trigger_input(self) -> str | None:

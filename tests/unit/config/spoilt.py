@@ -21,6 +21,7 @@ serial = «""                         # "" is too short; possible: text, 1 to 64
 serial = «"A\u001b[2J\u202e\nB"      # A\x1b[2J\u202e\nB has a character that is not printable
 calibration = «3                     # 3 is not a path
 instrument = «"row"                  # possible:
+kind = «"Desk"                       # possible: "machine" or "desk"; did you mean `desk`?
 «colour = 3                          # no such key; possible: calibration, instrument, kind, serial
 «serail = "TEST-1"; -serial          # no such key; possible: calibration, instrument, kind, serial; did you
 [targets.0]
@@ -49,8 +50,15 @@ pixel_format = «"Mono8"              # "GREY" or "Y10" or
 controls = { gain = «"much" }        # .gain: "much" is not a whole number
 controls = «16                       # 16 is not a table
 «trigger = "free"                    # it is a key of [cameras.NAME] with driver = "aravis"
+row_time_us = «nan                   # nan is not a finite number
+row_time_us = «-105                  # makes 480 rows last longer than a frame; possible: up to 104.4 either way
+pixel_format = «"yuyv"               # did you mean `YUYV`?
+«interface = "usb"                   # it is a key of [cameras.NAME] with driver = "aravis"
 -device                              # this key is missing; possible: path
 [cameras.rear]
+interface = «"eth0"                  # possible: "gige" or "usb"
+resend = «false; interface = "usb"   # is for interface = "gige" alone
+pixel_format = «"YUYV"               # "Mono8" or "Mono10" or
 fps = «10                            # 10 is not the rate of camera "front"; possible: 20
 features = { Gamma = «[1.0] }        # .Gamma: a list cannot be used; possible: number,
 device = «"300.1.1.1"                # "300.1.1.1" is not an IP address
