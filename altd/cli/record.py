@@ -15,7 +15,7 @@ from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
 from altd.process.standard_streams import print_errors
-from altd.recording.frames_table import JOINT_COLUMNS, POSE_COLUMNS
+from altd.recording.frames_table import JOINT_COLUMNS, MAX_POSITION_MM, POSE_COLUMNS
 
 if TYPE_CHECKING:
     from altd.config import Config
@@ -46,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_plate,
         metavar="C,R,MM[,SIGMA_MM]",
         help="columns, rows and pitch of the plate's LEDs, and its sigma; needed with `--kind plate`",
+    )
+    parser.add_argument(
+        "--shift",
+        type=partial(_numbers, "shift", {"x_mm": MAX_POSITION_MM, "y_mm": MAX_POSITION_MM}),
+        metavar="X,Y",
+        help="shift of the plate's LEDs to the right and up, mm, for `altd verify`; write it as --shift=X,Y",
     )
     parser.add_argument(
         "--placed",
@@ -125,7 +131,7 @@ def _check_plate_options(options: argparse.Namespace) -> None:
             if options.plate is None
             else "requires `--kind plate`",
         )
-    for name in ("beam", "placed", "target"):
+    for name in ("beam", "placed", "shift", "target"):
         if getattr(options, name) is not None and options.plate is None:
             raise BadInputError(f"--{name}", "requires `--kind plate`")
 
@@ -151,13 +157,14 @@ def _positive(what: str, limit: float, text: str) -> float:
 
 
 def _numbers(what: str, limits: Mapping[str, float], text: str) -> dict[str, float]:
-    """Return three numbers by their columns in a recording."""
+    """Return two or three numbers by their names."""
     try:
         values = dict(zip(limits, map(float, text.split(",")), strict=True))
     except ValueError:
         values = dict.fromkeys(limits, math.nan)
     if not all(abs(value) <= limits[column] for column, value in values.items()):
-        said = f"{text!r} is not a {what}; possible: three numbers such as 0,700,-15"
+        such = "two numbers such as 6.25,-6.25" if len(limits) == 2 else "three numbers such as 0,700,-15"
+        said = f"{text!r} is not a {what}; possible: {such}"
         raise argparse.ArgumentTypeError(said)
     return values
 
@@ -192,6 +199,12 @@ def _stated(options: argparse.Namespace, is_on_desk: bool) -> PlateHeader:
     from altd.recording.header import PlacedHeader
 
     plate: PlateHeader = options.plate
+    if options.shift:
+        shift_mm = tuple(options.shift.values())
+        if max(map(abs, shift_mm)) >= plate.pitch_mm:
+            raise BadInputError("--shift", f"must be less than the pitch, {plate.pitch_mm:g} mm")
+        x_mm, y_mm = (at + by for at, by in zip(plate.origin_mm, shift_mm, strict=True))
+        plate = plate.model_copy(update={"origin_mm": (x_mm, y_mm)})
     if options.beam is not None:
         plate = plate.model_copy(update={"beam_mm": options.beam})
     if options.placed:

@@ -168,6 +168,7 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     for option, value, why in (
         ("--target", "back", "there is no 'back'; possible: front, rear"),
         ("--placed", "0.5,0.5,10", "needs MM and DEG from 0, CAMERA_MM from 20"),
+        ("--shift", "25,0", "must be less than the pitch, 25 mm"),
     ):
         refused = altd_here(*screen[:4], tmp_path / "none", *screen[5:], option, value)
         assert f"altd record: {option}: {why}" in refusal(refused)
@@ -185,6 +186,11 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     assert of_screens.limits.stage_scale_ppm == pytest.approx(1e6 * np.hypot(0.05 / 25, 1 / 350))
     zero_mm_per_m = 1e3 * np.sqrt(2) * 0.5 / of_screens.targets[1].z_mm
     assert of_screens.limits.beam_normal_mm_per_m == pytest.approx(zero_mm_per_m)
+    outcome = altd_here(*screen[:4], tmp_path / "moved", *on_one[5:], "--shift=-6.25,12.5")
+    assert outcome.status == 0, outcome.err
+    moved = json.loads((tmp_path / "moved" / "recording.json").read_text())
+    assert moved["plate"]["origin_mm"] == [-75.0 - 6.25, -50.0 + 12.5]
+    assert [target["name"] for target in moved["targets"]] == ["rear"]
 
 
 EXPANSION = """[[thermometers]]

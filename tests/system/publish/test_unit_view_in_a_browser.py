@@ -232,8 +232,17 @@ async def test_a_screen_shows_the_plate_that_its_option_states(
         async with asyncio.timeout(10):
             while len((await _lit(shown)).stats) > 1:  # noqa: ASYNC110  a picture says nothing unasked
                 await asyncio.sleep(0.1)
+        for key in ("ArrowRight", "ArrowUp", "ArrowUp"):
+            await page.keyboard.press(key)
+        async with asyncio.timeout(10):
+            while len((moved := await _lit(shown)).stats) == 1:  # noqa: ASYNC110  the same
+                await asyncio.sleep(0.1)
+        steps_px = (moved.centroids - discs.centroids)[1:].mean(axis=0) * (1, -1)
+        assert np.abs(np.subtract(steps_px, np.multiply((1, 2), pitch_px / 4))).max() <= 0.5 + 1e-6
         await page.keyboard.press("x")
         assert await page.locator("#setup").is_visible()
+        said = (await page.locator("#option").inner_text()).removeprefix(f"{option[0]} --shift=")
+        assert [float(text) for text in said.split(",")] == pytest.approx(steps_px * 0.2, abs=1e-4)
         assert shown.complaints == []
 
 

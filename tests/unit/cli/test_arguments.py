@@ -58,6 +58,8 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
             "'7,5,25,2' is not a plate; possible",
         ),
         (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,25,1,1"), "is not a plate; possible"),
+        (("record", "-o", "x", "--seconds", "1", "--shift=6"), "'6' is not a shift; possible: two numbers"),
+        (("record", "-o", "x", "--seconds", "1", "--shift=nan,0"), "'nan,0' is not a shift; possible: two"),
         (("record", "-o", "x", "--seconds", "1", "--placed", "1,2"), "'1,2' is not a placing; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "3,5,25"), "'3,5,25' is not a plate; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,nan"), "'7,5,nan' is not a plate; possible"),

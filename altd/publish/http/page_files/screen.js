@@ -3,12 +3,13 @@
 
 const CARD_MM = 85.60;  // ISO/IEC 7810, ID-1
 const LIT_MS = 4000, DARK_MS = 4000;  // both in any recording of 10 s, however it begins
+const PARTS = 4, MOST_PARTS = 3;  // an arrow moves the discs by a quarter of the pitch, three quarters at most
 const BAR_TOP_CSS = 24, BAR_HEIGHT_CSS = 40, FORM_TOP_CSS = 80, LEFT_CSS = 16, MIN_BAR_PX = 50, COARSE_PX = 10;
 const LIMITS = { length: [20, 3000], error: [0.01, 20], columns: [4, 100], rows: [4, 100], pitch: [2, 1000], disc: [0.5, 100] };
 
 const field = name => document.getElementById(name);
 const canvas = field("plate"), context = canvas.getContext("2d");
-let barPx = 0, isBarSet = false, isBarHeld = false, isShowing = false, isLit = false, timer = 0;
+let barPx = 0, isBarSet = false, isBarHeld = false, isShowing = false, isLit = false, timer = 0, parts = [0, 0];
 let measuredOn = "", isElsewhere = false;
 
 const left = () => Math.round(LEFT_CSS * devicePixelRatio);
@@ -28,7 +29,7 @@ function unfilled() {
 }
 
 // The plate on device pixels, or why there is none.
-function plateOf({ columns, rows, wishedMm, discMm, barPx, barMm, errorMm, width, height }) {
+function plateOf({ columns, rows, wishedMm, discMm, barPx, barMm, errorMm, width, height, parts }) {
   const why = unfilled();
   if (why) return { why };
   const mmPerPx = barMm / barPx, pitchPx = Math.round(wishedMm / mmPerPx), radiusPx = Math.round(discMm / mmPerPx / 2);
@@ -36,22 +37,28 @@ function plateOf({ columns, rows, wishedMm, discMm, barPx, barMm, errorMm, width
   if (columns % 1 || rows % 1) return { why: "columns and rows: whole numbers" };
   if (radiusPx < 3 || 2 * radiusPx > 0.6 * pitchPx) return { why: "discs of 6 pixels at least, and of half of the pitch at most" };
   if (columns > most[0] || rows > most[1]) return { why: `does not fit: ${most[0]} columns, ${most[1]} rows at most, or a smaller pitch` };
+  const firstX = Math.round((width - (columns - 1) * pitchPx) / 2), firstY = Math.round((height - (rows - 1) * pitchPx) / 2);
+  const [rightPx, upPx] = parts.map(count => Math.round(count * pitchPx / PARTS));
+  if (firstX - Math.abs(rightPx) < radiusPx || firstY - Math.abs(upPx) < radiusPx) return { why: "does not fit when moved" };
+  const shift = rightPx || upPx ? ` --shift=${[rightPx, upPx].map(px => (px * mmPerPx).toFixed(4)).join(",")}` : "";
   const pitchMm = pitchPx * mmPerPx, sigmaMm = Math.ceil(1e4 * pitchMm * errorMm / Math.sqrt(3) / barMm) / 1e4;
-  return { columns, rows, pitchPx, radiusPx, pitchMm, sigmaMm,
-    firstX: Math.round((width - (columns - 1) * pitchPx) / 2), firstY: Math.round((height - (rows - 1) * pitchPx) / 2),
-    option: `--plate ${columns},${rows},${pitchMm.toFixed(4)},${sigmaMm.toFixed(4)}` };
+  return { columns, rows, pitchPx, radiusPx, pitchMm, sigmaMm, firstX, firstY, rightPx, upPx, shift,
+    option: `--plate ${columns},${rows},${pitchMm.toFixed(4)},${sigmaMm.toFixed(4)}${shift}` };
 }
 
 const plate = () => plateOf({ columns: number("columns"), rows: number("rows"), wishedMm: number("pitch"), discMm: number("disc"),
-  barPx, barMm: number("length"), errorMm: number("error"), width: canvas.width, height: canvas.height });
+  barPx, barMm: number("length"), errorMm: number("error"), width: canvas.width, height: canvas.height, parts });
 
-// Marks in the middle of the sides, as dim in the lit picture as in the dark one: they cancel in the difference.
-function ticks({ firstX, firstY, columns, rows, pitchPx }) {
+// Marks in the middle of the sides, and the shift, as dim in the lit picture as in the dark one: they cancel.
+// The marks stay where they are when the discs are moved.
+function ticks({ firstX, firstY, columns, rows, pitchPx, shift }) {
   const x = firstX + (columns - 1) * pitchPx / 2, y = firstY + (rows - 1) * pitchPx / 2;
   const long = Math.max(Math.min(firstX, firstY) - pitchPx / 2, 0);
   context.fillStyle = "#444";
   for (const far of [0, canvas.height - long]) context.fillRect(x - 1, far, 2, long);
   for (const far of [0, canvas.width - long]) context.fillRect(far, y - 1, long, 2);
+  context.font = `${16 * devicePixelRatio}px monospace`;
+  context.fillText(shift, left(), canvas.height - left());
 }
 
 function draw() {
@@ -73,7 +80,8 @@ function draw() {
     if (isLit) for (let row = 0; row < found.rows; row++) for (let column = 0; column < found.columns; column++) {
       context.beginPath();
       context.fillStyle = "#fff";
-      context.arc(found.firstX + column * found.pitchPx, found.firstY + row * found.pitchPx, found.radiusPx, 0, 2 * Math.PI);
+      const x = found.firstX + found.rightPx + column * found.pitchPx, y = found.firstY - found.upPx + row * found.pitchPx;
+      context.arc(x, y, found.radiusPx, 0, 2 * Math.PI);
       context.fill();
     }
   }
@@ -89,6 +97,7 @@ function blink() {
 }
 
 function show() {
+  parts = [0, 0];
   isShowing = true;
   isLit = false;
   document.body.className = "showing";
@@ -112,6 +121,14 @@ function measure() {
 function setBar(px) {
   isBarSet = true;
   barPx = Math.min(Math.max(Math.round(px), MIN_BAR_PX), longestBar());
+  draw();
+}
+
+// Move the discs one step right and up, unless they would leave the screen.
+function move(right, up) {
+  const before = parts;
+  parts = [right, up].map((step, axis) => Math.min(Math.max(parts[axis] + step, -MOST_PARTS), MOST_PARTS));
+  if (plate().why) parts = before;
   draw();
 }
 
@@ -149,7 +166,8 @@ canvas.addEventListener("pointermove", event => {
   if (isBarHeld && event.buttons) setBar(event.clientX * devicePixelRatio - left());
 });
 addEventListener("keydown", event => {
-  if (isShowing) { event.preventDefault(); return stop(); }
+  const moved = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowDown: [0, -1], ArrowUp: [0, 1] }[event.key];
+  if (isShowing) { event.preventDefault(); return moved ? move(...moved) : stop(); }
   const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
   if (step && event.target.tagName !== "INPUT") setBar(barPx + step * (event.shiftKey ? COARSE_PX : 1));
 });
