@@ -13,13 +13,17 @@ from typing import Any
 import numpy as np
 
 from altd.acquisition.scan.plan import nodes_of
-from altd.app.replay import Replay, open_replay
+from altd.app.replay import Replay, replay_of
 from altd.app.settings import load_beam_settings
 from altd.calibration.calibrating import sha256_of_all
-from altd.calibration.file import load_calibration
+from altd.calibration.file import check_recording, load_calibration, target_of
+from altd.calibration.from_plates import spots_of_plate
+from altd.calibration.target_frames import TargetFrames, target_frames
 from altd.calibration.verification.document import (
     comparison,
     head_object,
+    plate_object,
+    plate_residual_objects,
     read_earlier,
     residual_objects,
     set_objects,
@@ -32,7 +36,8 @@ from altd.calibration.verification.estimate import (
     why_not_aligned,
     why_too_few,
 )
-from altd.calibration.verification.verdict import Judgement, Result, judge
+from altd.calibration.verification.plates import PlateSet, plate_set, tests_of_plates
+from altd.calibration.verification.verdict import Judgement, LimitTest, Result, judge, judge_agreement
 from altd.config import Measuring, Scan
 from altd.config.measuring import ScanLimits
 from altd.errors import BadInputError
@@ -40,7 +45,8 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.instrument import Solution
 from altd.recording.header import RecordingHeader
-from altd.records import Limits, MeanSpots, Measurement, counted, utc_text
+from altd.recording.reader import Recording, open_recording
+from altd.records import Limits, MeanSpots, Measurement, Origin, counted, utc_text
 from altd.records.limits import LIMIT_KEYS
 
 MAX_POSITIONS = 2000
@@ -61,27 +67,36 @@ class _Measured:
 def verify(
     recordings: Sequence[Path], calibration: Path, earlier: Path | None, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """Return the verification as plain JSON types; each recording is a set.
+    """Return the verification as plain JSON types; each recording is a set, of a plate one on each target.
 
     Raises BadInputError for files that cannot be read or do not belong together.
     """
-    replays = [open_replay(path, calibration) for path in recordings]
-    unit = replays[0].calibration.unit_serial
+    opened = [open_recording(path) for path in recordings]
+    known = load_calibration(calibration, opened[0].header.unit.serial)
+    unit = known.unit_serial
     before = None if earlier is None else read_earlier(earlier, unit)
-    _check_independent(replays)
-    measured = [_measure(replay, progress) for replay in replays]
-    judgement, of_sets, residuals = _judged(measured)
-    file = replays[0].calibration.file
-    sha256 = "" if file is None else file.sha256
+    _check_independent(opened, known)
+    is_of_plates = any(recording.header.kind == "plate" for recording in opened)
+    if is_of_plates:
+        is_simulated, reference = known.simulated or any(map(_is_simulated, opened)), None
+        judgement, of_sets, residuals = _plates(opened, known, calibration, progress)
+    else:
+        replays = [replay_of(recording, calibration) for recording in opened]
+        is_simulated = any(replay.is_simulated for replay in replays)
+        measured = [_measure(replay, progress) for replay in replays]
+        judgement, of_sets, residuals = _judged(measured)
+        reference = _reference(measured)
+    sha256 = "" if known.file is None else known.file.sha256
     return {
-        **head_object(judgement, unit, datetime.now(UTC), any(replay.is_simulated for replay in replays)),
+        **head_object(judgement, unit, datetime.now(UTC), is_simulated),
+        "of": "places on the targets by a plate" if is_of_plates else "beams",
         "calibration": {
             "path": str(calibration),
-            "created": utc_text(replays[0].calibration.created),
+            "created": utc_text(known.created),
             "sha256": sha256,
-            "limits": asdict(replays[0].calibration.limits),
+            "limits": asdict(known.limits),
         },
-        "reference": None if (reference := _reference(measured)) is None else asdict(reference),
+        "reference": None if reference is None else asdict(reference),
         "sets": of_sets,
         "residuals": residuals,
         "comparison": None if before is None else comparison(before, judgement.agreement, sha256),
@@ -146,19 +161,19 @@ def _mounting(of: RecordingHeader | Scan, limits: Limits | ScanLimits | None) ->
     )
 
 
-def _check_independent(replays: Sequence[Replay]) -> None:
+def _check_independent(recordings: Sequence[Recording], calibration: Calibration) -> None:
     """Refuse a set that is given twice, or that made the calibration, also as a copy.
 
     It would count as twice the evidence, or test the map with its own errors. A turned unit's calibration
     stores one hash of both scans, so a single one of them is not noticed.
     """
     seen = dict[str, Path]()
-    for replay in replays:
-        sha256, path = replay.recording.sha256(), replay.recording.path
+    for recording in recordings:
+        sha256, path = recording.sha256(), recording.path
         if sha256 in seen:
             raise BadInputError(path, f"is the same recording as {seen[sha256]}")
         seen[sha256] = path
-    made_of = replays[0].calibration.recording_sha256
+    made_of = calibration.recording_sha256
     for hashes in (*((one,) for one in seen), *permutations(seen, 2)):
         if sha256_of_all(hashes) == made_of:
             raise BadInputError(seen[hashes[0]], "made the calibration; verify it with another recording")
@@ -213,13 +228,61 @@ def _judged(measured: Sequence[_Measured]) -> tuple[Judgement, list[dict[str, An
     return judgement, objects, residuals
 
 
+def _plates(
+    recordings: Sequence[Recording],
+    calibration: Calibration,
+    path: Path,
+    progress: Callable[[int, int], None],
+) -> tuple[Judgement, list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the judgement of plates, an object for each plate on a target, and the residuals of all."""
+    of_targets: dict[str, list[tuple[TargetFrames, PlateSet]]] = {
+        name: [] for name in calibration.target_names
+    }
+    for recording in recordings:
+        if recording.header.kind != "plate":
+            raise BadInputError(recording.path, "is no plate: verify plates and beams one after the other")
+        load_calibration(path, recording.header.unit.serial)
+        check_recording(calibration, path, recording.header)
+        for seen in target_frames([recording]):
+            target, others = target_of(calibration, path, seen.name), of_targets[seen.name]
+            for other, _ in others:
+                _check_same_plate(other, seen)
+            of_set = plate_set(target, seen.plate, *spots_of_plate(seen, target.map, progress))
+            others.append((seen, of_set))
+            if sum(len(one.known_mm) for _, one in others) > MAX_POSITIONS:
+                raise BadInputError(seen.place, f"has more than {MAX_POSITIONS} discs")
+    tests, reasons = list[LimitTest](), list[str]()
+    objects, residuals = list[dict[str, Any]](), list[dict[str, Any]]()
+    for name, shown in of_targets.items():
+        if not shown:
+            reasons.append(f"target {name!r} is not shown")
+            continue
+        if not any(one.is_between for _, one in shown):
+            reasons.append(f"target {name!r}: move the discs by a part of the pitch, stated as --shift")
+        of_target, left = tests_of_plates(name, [one for _, one in shown], calibration.limits)
+        tests += of_target
+        for (seen, one), errors in zip(shown, left, strict=True):
+            objects.append(_recording_object(seen.parts[0].recording) | plate_object(name, one, errors))
+            residuals += plate_residual_objects(len(objects), one, errors)
+    return judge_agreement(tests, reasons), objects, residuals
+
+
+def _check_same_plate(first: TargetFrames, other: TargetFrames) -> None:
+    """Raise BadInputError unless two recordings of a target show one plate at two places."""
+    if first.plate.origin_mm == other.plate.origin_mm:
+        raise BadInputError(other.place, f"shows {other.name!r} with the shift of {first.place}")
+    if first.plate.model_copy(update={"origin_mm": other.plate.origin_mm}) != other.plate:
+        raise BadInputError(other.place, f"states another plate on {other.name!r} than {first.place}")
+
+
+def _is_simulated(recording: Recording) -> bool:
+    return any(camera.origin is Origin.SIMULATED for camera in recording.header.cameras.values())
+
+
 def _set_object(one: _Measured) -> dict[str, Any]:
-    recording, header = one.replay.recording, one.replay.recording.header
+    header = one.replay.recording.header
     return {
-        "recording": str(recording.path),
-        "sha256": recording.sha256(),
-        "note": header.note,
-        "start": None if header.start is None else utc_text(header.start),
+        **_recording_object(one.replay.recording),
         "turned_deg": header.turned_deg,
         "seat_mm_per_m": header.seat_mm_per_m,
         "deflection_deg": one.beams.mounting.deflection_deg,
@@ -227,6 +290,16 @@ def _set_object(one: _Measured) -> dict[str, Any]:
         "positions": one.positions,
         "valid": len(one.beams),
         "invalid": dict(one.invalid),
+    }
+
+
+def _recording_object(recording: Recording) -> dict[str, Any]:
+    start = recording.header.start
+    return {
+        "recording": str(recording.path),
+        "sha256": recording.sha256(),
+        "note": recording.header.note,
+        "start": None if start is None else utc_text(start),
     }
 
 

@@ -17,8 +17,15 @@ from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
 from altd.calibration.target_frames import FrameRow, LitRows, TargetFrames, lit_rows
 from altd.errors import BadInputError
-from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px, px2_per_mm2, spot_moment_mm2
+from altd.mapping.camera_model import (
+    ToPx,
+    disc_moment_mm2,
+    light_centre_shift_px,
+    px2_per_mm2,
+    spot_moment_mm2,
+)
 from altd.mapping.nodes import Nodes
+from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Frame
@@ -44,12 +51,25 @@ _LOCALISER = SpotSettings(method="moment")
 
 @dataclass(frozen=True, slots=True)
 class _Leds:
-    """The LEDs found on one target, in grid order, the faults of the others, and lights that are no LED."""
+    """The LEDs found on one target, in grid order, the faults of the others, and lights that are no LED.
 
-    cells: tuple[tuple[int, int], ...]
+    ``nodes_mm`` (n, 2) are their places.
+    """
+
+    nodes_mm: FloatArray
     discs: tuple[Disc, ...]
     missing: Mapping[tuple[int, int], str]
     lights: tuple[str, ...]
+
+    @property
+    def centres_px(self) -> FloatArray:
+        """Centres (n, 2) of area of the discs."""
+        return np.array([(disc.u_px, disc.v_px) for disc in self.discs])
+
+    @property
+    def areas_px(self) -> FloatArray:
+        """Areas (n,) of the discs."""
+        return np.array([disc.area_px for disc in self.discs])
 
 
 def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> TargetsResult:
@@ -78,6 +98,44 @@ def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> Tar
     return TargetsResult(tuple(calibrated), tuple(refused), tuple(evidence), remarks=(remark,))
 
 
+def spots_of_plate(
+    seen: TargetFrames, fitted: TensorMap, progress: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """Return the places (n, 2) mm of a plate's LEDs, and the px (n, 2) at which laser spots there are seen.
+
+    A disc and a spot differ by the map's bend. Raises BadInputError as ``calibrate_plates`` does.
+    """
+    of = seen.parts[0]
+    rows = lit_rows(of.recording, of.target.camera, _MAX_DARK_RATIO, progress)
+    dark, lit = (_mean(row.frame() for row in compress(seen, flags)) for flags in (rows.dark, rows.lit))
+    try:
+        leds = _leds(seen, dark, lit)
+        areas_mm2 = leds.areas_px / px2_per_mm2(fitted.to_px, leds.nodes_mm)
+        shift_px = _spot_shift_px(seen.plate, fitted.to_px, leds.nodes_mm, float(np.median(areas_mm2)))
+    except ValueError as error:
+        raise BadInputError(seen.place, f"{seen.name}: {error}") from error
+    return leds.nodes_mm, leds.centres_px + shift_px
+
+
+def _leds(seen: TargetFrames, dark: Image | None, lit: Image | None) -> _Leds:
+    """Find a target's LEDs in mean pictures; raises ValueError if they cannot be used."""
+    plate = seen.plate
+    if dark is None or lit is None:
+        raise ValueError("its frames are alike: the plate's LEDs must be off in some and on in others")
+    leds = _find(lit - dark, plate, seen.is_mirrored)
+    if len(leds.missing) > _max_missing(plate):
+        first = next(iter(leds.missing.items()))
+        raise ValueError(
+            f"{len(leds.missing)} of {plate.columns * plate.rows} LEDs cannot be used, "
+            f"{_max_missing(plate)} at most: the first at {_place(_at(plate, first[0]))} is {first[1]}"
+        )
+    return leds
+
+
+def _max_missing(plate: PlateHeader) -> int:
+    return int(_MAX_MISSING_SHARE * plate.columns * plate.rows)
+
+
 def _target(
     seen: TargetFrames, rows: LitRows, frame: Callable[[FrameRow], Frame]
 ) -> tuple[TargetCalibration, TargetEvidence, tuple[str, ...]]:
@@ -89,28 +147,15 @@ def _target(
         return (frame(of) for of in compress(seen, rows.lit if leds_on else rows.dark))
 
     dark, lit = _mean(frames(False)), _mean(frames(True))
-    if dark is None or lit is None:
-        raise BadInputError(
-            seen.place, f"{name}: its frames are alike: the plate's LEDs must be off in some and on in others"
-        )
     try:
-        leds = _find(lit - dark, plate, seen.is_mirrored)
-        max_missing = int(_MAX_MISSING_SHARE * plate.columns * plate.rows)
-        if len(leds.missing) > max_missing:
-            first = next(iter(leds.missing.items()))
-            raise ValueError(
-                f"{len(leds.missing)} of {plate.columns * plate.rows} LEDs cannot be used, "
-                f"{max_missing} at most: "
-                f"the first at {_place(_at(plate, first[0]))} is {first[1]}"
-            )
-        nodes_mm = np.array([_at(plate, cell) for cell in leds.cells])
-        centres_px = np.array([(disc.u_px, disc.v_px) for disc in leds.discs])
-        areas_px = np.array([disc.area_px for disc in leds.discs])
+        leds = _leds(seen, dark, lit)
+        nodes_mm, max_dropped = leds.nodes_mm, _max_missing(plate) - len(leds.missing)
         fitted, kept, complaints = _fit(
-            plate, nodes_mm, centres_px, areas_px, (width, height), max_missing - len(leds.missing)
+            plate, nodes_mm, leds.centres_px, leds.areas_px, (width, height), max_dropped
         )
     except ValueError as error:
         raise BadInputError(seen.place, f"{name}: {error}") from error
+    assert dark is not None  # noqa: S101  checked by _leds
     fit = fitted.fit
     scatter_px, exposures = _scatter_px(frames(True), dark, tuple(leds.discs[row] for row in kept))
     distance_mm = residual_distances_mm(fit, nodes_mm[kept])
@@ -182,7 +227,8 @@ def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
         f"a light at ({seen.found[row].u_px:.0f}, {seen.found[row].v_px:.0f}) px is not on the grid"
         for row in match.extra
     ]
-    return _Leds(tuple(cells), tuple(discs), missing, (*lights, *seen.rejected))
+    nodes_mm = np.array([_at(plate, cell) for cell in cells])
+    return _Leds(nodes_mm, tuple(discs), missing, (*lights, *seen.rejected))
 
 
 def _fit(
@@ -198,7 +244,6 @@ def _fit(
     A disc's centre of area differs from the picture of its middle; the centre of light of a wider laser spot
     differs more. Both shifts follow from the map, so the fit is repeated with them.
     """
-    spot_moment = spot_moment_mm2(plate.beam_mm, _LOCALISER.threshold, _LOCALISER.power)
     kept = list(range(len(nodes_mm)))
     complaints: dict[int, str] = {}
     shift_px = np.zeros_like(centres_px)
@@ -222,11 +267,15 @@ def _fit(
         for row in odd[: max_dropped - len(complaints)]:
             complaints[row] = f"its disc has {areas_mm2[row] / usual_mm2:.1f} times the area of the others"
         kept = [row for row in kept if row not in complaints]
-        disc_mm = _disc_mm(plate, usual_mm2)
-        moment = spot_moment - disc_moment_mm2(disc_mm)
-        shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
+        shift_px = _spot_shift_px(plate, fit.map.to_px, nodes_mm, usual_mm2)
     fitted = fit_nodes(Nodes.ordinary(nodes_mm[kept], (centres_px + shift_px)[kept]), image_size, 0)
     return fitted, kept, complaints
+
+
+def _spot_shift_px(plate: PlateHeader, to_px: ToPx, nodes_mm: FloatArray, disc_mm2: float) -> FloatArray:
+    """Shift (n, 2) from the centre of area of discs to the centre of light of a laser spot; or ValueError."""
+    spot_moment = spot_moment_mm2(plate.beam_mm, _LOCALISER.threshold, _LOCALISER.power)
+    return light_centre_shift_px(to_px, nodes_mm, spot_moment - disc_moment_mm2(_disc_mm(plate, disc_mm2)))
 
 
 def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 from altd.cli.arguments import progress_on
 from altd.errors import BadInputError
 from altd.process.standard_streams import print_lines
+from altd.records import counted
 
 SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict, statistics, limits"
 
@@ -22,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="RECORDING",
-        help="folder of a set: a scan, or a measurement with known positions",
+        help="folder of a set: a scan, a measurement with known positions, or a plate with `--shift`",
     )
     parser.add_argument(
         "--plan",
@@ -60,25 +61,29 @@ def run(options: argparse.Namespace) -> int:
     else:
         document = verify(options.recordings, options.calibration, options.compare, progress_on("frames"))
     text = json.dumps(document, allow_nan=False)
+    files = dict[str, bytes]()
     if options.output is not None:
-        from altd.calibration.report.html import html_page
-        from altd.calibration.report.verification import verification_page
+        files = {"verification.json": text.encode() + b"\n"}
+        if document["of"] == "beams":
+            from altd.calibration.report.html import html_page
+            from altd.calibration.report.verification import verification_page
 
-        page = html_page(verification_page(document))
-        write_together(options.output, dict(zip(names, (page, text.encode() + b"\n"), strict=True)))
+            files["verification.html"] = html_page(verification_page(document))
+        write_together(options.output, files)
     if options.json:
         print_lines(text)
     else:
         print_lines(*_lines(document))
         if options.output is not None:
-            print_lines(f"written: {', '.join(str(options.output / name) for name in names)}")
+            print_lines(f"written: {', '.join(str(options.output / name) for name in sorted(files))}")
     return 0 if document["verdict"] in ("passed", "decides") else 1
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     """Yield the verdict, its reasons, the tests and the comparison."""
     simulated = ", SIMULATED" if document["origin"] == "simulated" else ""
-    yield f"unit {document['unit']}{simulated}: {document['verdict'].upper()}"
+    of = "" if (is_of_beams := document.get("of", "beams") == "beams") else f", {document['of']}"
+    yield f"unit {document['unit']}{of}{simulated}: {document['verdict'].upper()}"
     yield from (f"  {reason}" for reason in document["reasons"])
     columns = "{:<36}{:>11}{:>13}{:>11}{:>12}{:>10}  {}"
     if document["tests"]:
@@ -86,6 +91,9 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
     for test in document["tests"]:
         numbers = (_number(test, key) for key in ("value", "sigma", "limit", "detectable", "required"))
         yield columns.format(f"{test['name']}, {test['unit'].strip()}", *numbers, test["result"])
+    if not is_of_beams:
+        yield from map(_plate_line, document["sets"])
+        yield "not tested: zero and scale of yaw and pitch, distance of the targets, the laser spot"
     if (change := document["comparison"]) is None:
         return
     yield f"compared with {change['created']} ({change['verdict']}):"
@@ -94,6 +102,14 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         numbers = (_number(one, key) for key in ("change", "sigma", "limit"))
         result = "changed" if one["changed"] else "no significant change"
         yield "{:<36}{:>11}{:>13}{:>11}  {}".format(f"{one['name']}, {one['unit'].strip()}", *numbers, result)
+
+
+def _plate_line(one: dict[str, Any]) -> str:
+    found = f"{one['target']}: {one['valid']} of {counted(one['positions'], 'disc')}"
+    if one["rms_mm"] is not None:
+        found += f", rms {one['rms_mm']:.3f} mm, greatest {one['max_mm']:.3f} mm, "
+        found += f"rms(error/sigma) {one['rms_of_sigma']:.2f}"
+    return f"{found}; {one['recording']} shifted by {', '.join(f'{mm:g}' for mm in one['shift_mm'])} mm"
 
 
 def _number(test: dict[str, Any], key: str) -> str:

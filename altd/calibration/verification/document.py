@@ -10,10 +10,12 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import AwareDatetime, BaseModel, ConfigDict, ValidationError
 
 from altd import __version__
 from altd.calibration.verification.estimate import KEYS, BeamSet, Estimate
+from altd.calibration.verification.plates import PlateSet
 from altd.calibration.verification.verdict import CONFIDENCE, POWER, Judgement, LimitTest
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
@@ -76,6 +78,33 @@ def residual_objects(one: BeamSet, residuals: FloatArray) -> list[dict[str, Any]
             **{f"d{key}": _short(value) for key, value in zip(KEYS, left, strict=True)},
         }
         for values, left in zip(one.values.tolist(), residuals.tolist(), strict=True)
+    ]
+
+
+def plate_object(target: str, one: PlateSet, errors_mm: FloatArray) -> dict[str, Any]:
+    """Plate on a target, and its remaining errors (n, 2) mm; None where none were found."""
+    distances_mm = np.linalg.norm(errors_mm, axis=1)
+    ratios = errors_mm / np.sqrt(np.diagonal(one.covariance_mm2, axis1=1, axis2=2))
+    figures = {
+        "rms_mm": np.sqrt(np.mean(np.square(distances_mm))) if len(errors_mm) else np.nan,
+        "max_mm": distances_mm.max() if len(errors_mm) else np.nan,
+        "rms_of_sigma": np.sqrt(np.mean(np.square(ratios))) if len(errors_mm) else np.nan,
+    }
+    return {
+        "target": target,
+        "shift_mm": [_short(value) for value in one.shift_mm.tolist()],
+        "positions": one.plate.columns * one.plate.rows,
+        "valid": len(one.known_mm),
+        **{key: _short(float(value)) if np.isfinite(value) else None for key, value in figures.items()},
+    }
+
+
+def plate_residual_objects(number: int, one: PlateSet, errors_mm: FloatArray) -> list[dict[str, Any]]:
+    """Known places of a set's discs, with the remaining error of each."""
+    return [
+        {"set": number, **dict(zip(("x_mm", "y_mm", "dx_mm", "dy_mm"), map(_short, row), strict=True))}
+        for row in np.hstack([one.known_mm, errors_mm]).tolist()
+        if math.isfinite(row[2])
     ]
 
 

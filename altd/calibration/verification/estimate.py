@@ -228,12 +228,12 @@ def estimate(sets: Sequence[BeamSet]) -> Estimate:
     of_set = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
     measured = np.concatenate([one.values for one in sets])
     known = np.concatenate(expected)
-    displaced = _Fit.of(
+    displaced = WeightedFit.of(
         _design_displacement(known, of_set, len(sets)),
         (measured[:, :2] - known).T.ravel(),
         joint_covariance(sets, (0, 1), False),
     )
-    directed = _Fit.of(
+    directed = WeightedFit.of(
         np.asarray(np.kron(np.eye(2), _membership(of_set, len(sets))), dtype=np.float64),
         measured[:, 2:].T.ravel(),
         joint_covariance(sets, (2, 3), True),
@@ -304,7 +304,7 @@ def _design_displacement(known_mm: FloatArray, of_set: npt.NDArray[np.intp], cou
 
 
 def _mean_direction(
-    directed: _Fit, sets: Sequence[BeamSet], numbers: Sequence[int]
+    directed: WeightedFit, sets: Sequence[BeamSet], numbers: Sequence[int]
 ) -> tuple[Estimated, Estimated] | None:
     """Mean direction of the sets ``numbers``, with the scatter of their seatings; None if there are none."""
     if not numbers:
@@ -318,7 +318,7 @@ def _mean_direction(
 
 
 def _angle_scale(
-    directed: _Fit, sets: Sequence[BeamSet], turns_rad: Sequence[float], axis: int
+    directed: WeightedFit, sets: Sequence[BeamSet], turns_rad: Sequence[float], axis: int
 ) -> Estimated | None:
     """Error of the scale of yaw (``axis`` 0) or pitch (1), ppm, by the deflections in it.
 
@@ -370,7 +370,7 @@ def _distance_error(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class WeightedFit:
     """Weighted least squares whose weights contain only the variances of a full covariance."""
 
     parameters: FloatArray
@@ -381,7 +381,8 @@ class _Fit:
     _stated: float
 
     @classmethod
-    def of(cls, design: FloatArray, measured: FloatArray, covariance: FloatArray) -> _Fit:
+    def of(cls, design: FloatArray, measured: FloatArray, covariance: FloatArray) -> WeightedFit:
+        """Fit ``measured`` (n,) by ``design`` (n, k)."""
         variances = np.diag(covariance)
         weights = 1.0 / variances
         weighted = design.T * weights
@@ -410,4 +411,5 @@ class _Fit:
         return Estimated(scale * float(row @ self.parameters), scale * sigma)
 
     def scatter(self) -> Scatter:
+        """Standard deviation of the residuals against the stated one."""
         return Scatter(self._ratio * self._stated, self._stated, self._degrees)

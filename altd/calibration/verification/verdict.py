@@ -167,14 +167,31 @@ def judge(
     if reference is None:
         why = "the uncertainty of the reference is unknown: its header states no limits"
         planned = [replace(test, why_not=why) for test in planned]
+    agreement = _with_limits(planned)
+    missing = (why,) if why else None
+    return _decided((*agreement, *_greatest_errors(agreement)), further_reasons, missing)
+
+
+def judge_agreement(planned: Sequence[LimitTest], further_reasons: Sequence[str]) -> Judgement:
+    """Decide by tests of agreement alone, as ``judge`` does; they have no limits yet."""
+    return _decided(tuple(_with_limits(planned)), further_reasons)
+
+
+def _with_limits(planned: Sequence[LimitTest]) -> list[LimitTest]:
     made = sum(not test.why_not for test in planned)
-    agreement = [test if test.why_not else _with_limit(test, made) for test in planned]
-    tests = (*agreement, *_greatest_errors(agreement))
+    return [test if test.why_not else _with_limit(test, made) for test in planned]
+
+
+def _decided(
+    tests: tuple[LimitTest, ...], further_reasons: Sequence[str], missing: Sequence[str] | None = None
+) -> Judgement:
+    """Return the verdict; ``missing`` replaces the reasons of tests that decide nothing."""
     failed = [f"{test.name} is beyond its limit" for test in tests if test.result is Result.FAILED]
     if failed:
         return Judgement(Result.FAILED, tuple(failed), tests)
-    missing = [f"{test.name}: {test.why_undecided}" for test in tests if test.why_undecided]
-    reasons = (*further_reasons, *([why] if why else missing))
+    if missing is None:
+        missing = [f"{test.name}: {test.why_undecided}" for test in tests if test.why_undecided]
+    reasons = (*further_reasons, *missing)
     return Judgement(Result.NOT_DECIDED if reasons else Result.PASSED, reasons, tests)
 
 
@@ -211,13 +228,14 @@ def _of_scatter(estimate: Estimate, reference: Limits | None) -> list[LimitTest]
         LimitTest(
             key, name, unit, decimals, scatter.experimental, scatter.stated, {"stated": scatter.stated},
             degrees_of_freedom=scatter.degrees_of_freedom,
-            why_not=_why_no_scatter(scatter, unstated and unit == " mm"),
+            why_not=why_no_scatter(scatter, unstated and unit == " mm"),
         )
         for key, name, unit, decimals, scatter in names
     ]  # fmt: skip
 
 
-def _why_no_scatter(scatter: Scatter, is_unstated: bool) -> str:
+def why_no_scatter(scatter: Scatter, is_unstated: bool) -> str:
+    """Return why a standard deviation is not tested; empty if it is."""
     if scatter.degrees_of_freedom < MIN_DEGREES_OF_FREEDOM:
         return (
             f"too few positions: {scatter.degrees_of_freedom:.1f} degrees of freedom, "
@@ -241,10 +259,10 @@ def _against(test: LimitTest, found: Estimated, limit: str, limits: tuple[Limits
     """Return the test with the found value; its sigma includes this limit of reference and calibration."""
     of_reference, of_calibration = (getattr(of, limit) for of in limits)
     why_not = "" if of_reference is not None else f"the reference's limits do not state {limit}"
-    return _with_parts(replace(test, why_not=why_not), found, of_reference, of_calibration)
+    return with_parts(replace(test, why_not=why_not), found, of_reference, of_calibration)
 
 
-def _with_parts(
+def with_parts(
     test: LimitTest, found: Estimated | None, of_reference: float | None, of_calibration: float | None
 ) -> LimitTest:
     """Return the test with the found value, if there is one, and its combined uncertainty."""
@@ -274,7 +292,7 @@ def _of_zero(estimate: Estimate, reference: Limits, calibration: Limits) -> list
     calibrated_deg = (calibration.beam_normal_mm_per_m or 0.0) * _DEG_PER_MM_PER_M
     tests = (LimitTest(f"zero_{of}_deg", f"zero of {of}", "°", 4, why_not=why_not) for of in ("yaw", "pitch"))
     return [
-        _with_parts(test, one, of_beam_deg, calibrated_deg) for test, one in zip(tests, found, strict=True)
+        with_parts(test, one, of_beam_deg, calibrated_deg) for test, one in zip(tests, found, strict=True)
     ]
 
 
@@ -286,13 +304,13 @@ def _of_angles(estimate: Estimate, reference: Limits, calibration: Limits) -> li
     for name, found in zip(("yaw", "pitch"), estimate.angle_scale_ppm, strict=True):
         why_not = _why_no_angle(found, name)
         test = LimitTest(f"scale_{name}_ppm", f"scale of {name}", " ppm", 0, why_not=why_not)
-        tests.append(_with_parts(test, found, None, calibrated_ppm))
+        tests.append(with_parts(test, found, None, calibrated_ppm))
     why_not = _why_no_angle(estimate.distance_mm, "yaw or pitch")
     if not why_not and reference.stage_scale_ppm is None:
         why_not = "the reference's limits do not state stage_scale_ppm"
     test = LimitTest("target_distance_mm", "distance of the targets", " mm", 3, why_not=why_not)
     of_stage_mm = mm_per_ppm * (reference.stage_scale_ppm or 0.0)
-    return [*tests, _with_parts(test, estimate.distance_mm, of_stage_mm, stated_mm)]
+    return [*tests, with_parts(test, estimate.distance_mm, of_stage_mm, stated_mm)]
 
 
 def _why_no_angle(found: Estimated | None, name: str) -> str:

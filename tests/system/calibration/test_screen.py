@@ -7,10 +7,14 @@ themselves, while the map is of a screen that lies there inexactly.
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from support.cli import altd_here, refusal
 from support.plates import FRONT, PITCH_MM, REAR, View, plate_light, write_plate
+from support.recordings import write_scan
 
 from altd.calibration.calibrating import calibrate
 from altd.errors import BadInputError
@@ -123,3 +127,134 @@ def test_one_statement_must_hold_for_all_targets(tmp_path: Path) -> None:
         paths.append(path)
     with pytest.raises(BadInputError, match="show the same plate on all targets, with the same statement"):
         calibrate([open_recording(path) for path in paths])
+
+
+SIDES = ("front", "rear")
+PLACED = {"sigma_mm": 0.65, "sigma_deg": 0.5, "camera_mm": 340.0}
+UNTOUCHED = {"sigma_mm": 0.0, "sigma_deg": 0.0, "camera_mm": 340.0}
+QUARTER = (PITCH_MM / 4, 0.0)
+SHIFTS_MM = ((PITCH_MM / 3, PITCH_MM / 4), (-PITCH_MM / 4, -PITCH_MM / 3))
+
+
+def moved(view: View, shift_mm: tuple[float, float]) -> View:
+    """The view of a screen that stays where it is while its discs move on it."""
+    turned, _ = cv2.Rodrigues(np.radians(view.askew_deg))
+    return replace(view, aside_mm=tuple(np.add(view.aside_mm, view.scale * turned[:, :2] @ shift_mm)))
+
+
+def screen(
+    path: Path,
+    views: tuple[View, View],
+    shift_mm: tuple[float, float] = (0.0, 0.0),
+    stated_mm: tuple[float, float] | None = None,
+    **plate: object,
+) -> Path:
+    """A recording of the screen on both targets; ``stated_mm`` is the shift in its header, if another."""
+    write_plate(path, *(plate_light(moved(view, shift_mm)) for view in views), pairs=1)
+    header = json.loads((path / "recording.json").read_text())
+    origin_mm = np.add(header["plate"]["origin_mm"], shift_mm if stated_mm is None else stated_mm).tolist()
+    header["plate"] |= {"origin_mm": origin_mm, "pitch_sigma_mm": 0.003 * PITCH_MM, "placed": PLACED} | plate
+    (path / "recording.json").write_text(json.dumps(header))
+    return path
+
+
+@pytest.fixture(scope="module")
+def cal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The calibration from the screen with its discs in the middle."""
+    folder = tmp_path_factory.mktemp("cal")
+    calibrated = altd_here("calibrate", screen(folder / "rec", (FRONT, REAR)), "-o", folder / "cal.json")
+    assert calibrated.status == 0, calibrated.err
+    return folder / "cal.json"
+
+
+def judged(cal: Path, *recordings: Path) -> dict[str, Any]:
+    outcome = altd_here("verify", *recordings, "--calibration", cal, "--json")
+    assert outcome.err == ""
+    (document,) = outcome.objects
+    assert (outcome.status == 0) is (document["verdict"] == "passed")
+    return document
+
+
+def test_moved_discs_verify_the_map_that_the_unmoved_ones_made(cal: Path, tmp_path: Path) -> None:
+    """Errors by algebra: the cameras did not move, so the map errs by what its own discs were seen wrong."""
+    recordings = [
+        screen(tmp_path / str(number), (FRONT, REAR), shift_mm, placed=UNTOUCHED)
+        for number, shift_mm in enumerate(SHIFTS_MM)
+    ]
+    document = judged(cal, *recordings)
+    assert (document["verdict"], document["reasons"]) == ("passed", [])
+    assert [(one["target"], one["valid"] >= 24) for one in document["sets"]] == [
+        (name, True) for name in SIDES for _ in SHIFTS_MM
+    ]
+    assert [one["shift_mm"] for one in document["sets"][:2]] == [
+        pytest.approx(of, abs=1e-4) for of in SHIFTS_MM
+    ]
+    assert max(one["rms_mm"] for one in document["sets"]) < 0.01
+    assert max(one["rms_of_sigma"] for one in document["sets"]) < 1.0
+    text = altd_here("verify", *recordings, "--calibration", cal, "-o", tmp_path / "verified").out
+    assert "unit TEST-1, places on the targets by a plate: PASSED\n" in text
+    assert "\nnot tested: zero and scale of yaw and pitch" in text
+    assert [path.name for path in (tmp_path / "verified").iterdir()] == ["verification.json"]
+
+
+def test_a_screen_that_is_placed_again_is_judged_by_what_is_stated_of_it(cal: Path, tmp_path: Path) -> None:
+    askew = {"scale": 1.002, "askew_deg": (0.4, -0.4, 0.5), "aside_mm": (0.5, -0.4, 0.6)}
+    views = replace(FRONT, **askew), replace(REAR, **askew)
+    document = judged(cal, screen(tmp_path / "rec", views, QUARTER))
+    assert (document["verdict"], document["reasons"]) == ("passed", [])
+    assert max(one["rms_mm"] for one in document["sets"]) < 0.01
+
+
+ASIDE = tuple(replace(view, aside_mm=(0.3, 0.0, 0.0)) for view in (FRONT, REAR))
+OTHER_LENS = FRONT, replace(REAR, distortion=(-0.1, 0.0, 0.0, 0.0, 0.0))
+FROM_BEHIND = tuple(replace(view, mirrored=not view.mirrored) for view in (FRONT, REAR))
+STATED = "failed", "front: place of the screen in x is beyond its limit"
+"""Discs that are not where their statement puts them."""
+
+
+@pytest.mark.parametrize(
+    ("views", "shift_mm", "plate", "expected"),
+    [
+        (ASIDE, QUARTER, {"placed": UNTOUCHED}, STATED),
+        (OTHER_LENS, QUARTER, {}, ("failed", "rear: standard deviation is beyond its limit")),
+        ((REAR, FRONT), QUARTER, {}, ("failed", "front: standard deviation is beyond its limit")),
+        (FROM_BEHIND, QUARTER, {}, STATED),
+        ((FRONT, REAR), (0.0, 0.0), {"stated_mm": QUARTER}, STATED),
+        ((FRONT, REAR), (-QUARTER[0], 0.0), {"stated_mm": QUARTER}, STATED),
+        ((FRONT, REAR), (0.0, QUARTER[0]), {"stated_mm": QUARTER}, STATED),
+        ((FRONT, REAR), (0.75 * PITCH_MM, 0.0), {"stated_mm": (-PITCH_MM / 4, 0.0)}, STATED),
+        ((FRONT, REAR), (PITCH_MM, 0.0), {"stated_mm": (0.0, 0.0)}, STATED),
+        ((FRONT, REAR), (PITCH_MM, 0.0), {}, ("not decided", "target 'front': move the discs by a part")),
+        ((FRONT, REAR), (0.0, 0.0), {"placed": UNTOUCHED}, ("not decided", "target 'front': move the discs")),
+        ((FRONT, REAR), (0.2 * PITCH_MM, 0.1 * PITCH_MM), {}, ("not decided", "front: place of the screen")),
+        ((FRONT, REAR), QUARTER, {"placed": None}, ("not decided", "does not state --placed")),
+    ],
+)  # fmt: skip
+def test_what_was_not_done_as_stated_does_not_pass(
+    cal: Path, tmp_path: Path, views: Any, shift_mm: Any, plate: Any, expected: tuple[str, str]
+) -> None:
+    document = judged(cal, screen(tmp_path / "rec", views, shift_mm, **plate))
+    verdict, reason = expected
+    assert document["verdict"] == verdict
+    assert any(reason in one for one in document["reasons"]), document["reasons"]
+
+
+def test_recordings_of_one_target_are_of_one_screen_that_stays(cal: Path, tmp_path: Path) -> None:
+    first = screen(tmp_path / "first", (FRONT, REAR), QUARTER)
+    moved_too = screen(tmp_path / "moved", ASIDE, SHIFTS_MM[1])
+    document = judged(cal, first, moved_too)
+    assert document["reasons"][0] == "front: standard deviation is beyond its limit"
+    assert document["origin"] == "camera"
+    again = screen(tmp_path / "again", (FRONT, REAR), QUARTER, beam_mm=5.0)
+    other = screen(tmp_path / "other", (FRONT, REAR), SHIFTS_MM[0], pitch_sigma_mm=0.0)
+    for recordings, why in (
+        ((first, again), f"again: shows 'front' with the shift of {first}"),
+        ((first, other), f"other: states another plate on 'front' than {first}"),
+        ((cal.with_name("rec"),), "rec: made the calibration; verify it with another recording"),
+        ((first, write_scan(tmp_path / "scan")), "scan: is no plate: verify plates and beams one after the"),
+    ):
+        assert why in refusal(altd_here("verify", *recordings, "--calibration", cal))
+    header = json.loads((first / "recording.json").read_text())
+    header["cameras"]["rear"]["origin"] = "simulated"
+    (first / "recording.json").write_text(json.dumps(header))
+    assert judged(cal, first)["origin"] == "simulated"
