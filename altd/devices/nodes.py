@@ -19,11 +19,11 @@ def check_node(subject: str, device: Path, names: tuple[str, ...], machine: Mach
     """Check a device of the config; ``names`` are patterns of the names that it may have."""
     status = machine.status(device)
     if status is None:
-        remedy = f"plug it in, or use one of these names in altd.toml: ls -l {names[0]}"
+        remedy = f"plug it in, or use one of these names in the settings: ls -l {names[0]}"
         yield Finding.error(subject, f"does not exist; {existing(names, machine)}", remedy)
     elif not stat.S_ISCHR(status.st_mode):
         yield Finding.error(
-            subject, "is not a device", f"ls -l {names[0]}   # use one of these names in altd.toml"
+            subject, "is not a device", f"ls -l {names[0]}   # use one of these names in the settings"
         )
     else:
         yield from check_permission(subject, str(device), machine)
@@ -39,7 +39,7 @@ def check_duplicates(what: str, devices: Mapping[str, Path], machine: Machine) -
             continue
         if (other := first.setdefault(status.st_rdev, name)) != name:
             node = machine.at(device).resolve().name
-            remedy = f"ls -l /dev | grep {node}   # use another device for one of them in altd.toml"
+            remedy = f"ls -l /dev | grep {node}   # use another device for one of them in the settings"
             yield Finding.error(f"{what} {name}", f"is the same device as {other}, {node}", remedy)
 
 

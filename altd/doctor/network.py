@@ -115,7 +115,7 @@ def _missing_address(subject: str, host: str, machine: Machine) -> Iterator[Find
             ", ".join(str(address) for address in known if not address.is_loopback)
             or "only loopback addresses"
         )
-        remedy = "ip -brief address   # use one of these in altd.toml, or 0.0.0.0 for all of them"
+        remedy = "ip -brief address   # use one of these in the settings, or 0.0.0.0 for all of them"
         yield Finding.error(subject, f"no interface of this computer has the address; it has {there}", remedy)
 
 

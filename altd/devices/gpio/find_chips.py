@@ -171,7 +171,7 @@ def check_lines(tables: Mapping[str, GpiodTable]) -> Iterator[Finding]:
             chip = find_chip(wanted)
         except LampsError:
             continue  # the finding of the chip itself reports it
-        subject, remedy = f"gpio {wanted} {name}", "altd devices   # use one of these names in altd.toml"
+        subject, remedy = f"gpio {wanted} {name}", "altd devices   # use one of these names in the settings"
         try:
             line = find_line(chip, name)
         except LampsError as error:
