@@ -6,9 +6,11 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import cv2
@@ -118,6 +120,18 @@ def _take_report(folder: Path) -> None:
     cv2.imwrite(str(folder / "report.png"), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
+def _take_screen(folder: Path) -> None:
+    """Take the page as a user sees it who has no calibration yet."""
+    files = partial(SimpleHTTPRequestHandler, directory=_ROOT / "altd/publish/http/page_files")
+    with ThreadingHTTPServer(("127.0.0.1", 0), files) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/screen.html"
+        screenshot(address, folder / "coloured.png", 760, 560, after_s=1.0)
+        server.shutdown()
+    grey = np.asarray(cv2.imread(str(folder / "coloured.png"), cv2.IMREAD_GRAYSCALE))
+    cv2.imwrite(str(folder / "screen.png"), grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
 def _take_in_test(test: str, folder: Path) -> None:
     """Take the picture that a test of the page takes where it finds ``ALTD_PICTURES``."""
     os.environ["ALTD_PICTURES"] = str(folder)
@@ -133,6 +147,7 @@ _TAKEN: dict[tuple[str, ...], tuple[Callable[[Path], None], float]] = {
     ("planar-page.png",): (_take_planar_page, _LIVE),
     ("chain-page.png",): (_take_row_page, _ANY),
     ("demo.svg", "page.png"): (_take_demo, _LIVE),
+    ("screen.png",): (_take_screen, _DRAWN),
     ("report.png",): (_take_report, _DRAWN),
     ("page-fault.png",): (partial(_take_in_test, "ten_faults"), _LIVE),
     ("page-events.png",): (partial(_take_in_test, "fault_at_night"), _ANY),

@@ -142,7 +142,9 @@ class Answers:
         self._metrics = Metrics(unit)
         self._page = page_of(unit.board.quantities)
         self._reasons = reasons_page(self._page)
-        self._screen = (_FOLDER / "screen.html").read_text(encoding="utf-8")
+        # its own folder serves the page too, before there is a calibration
+        screen = (_FOLDER / "screen.html").read_text(encoding="utf-8")
+        self._screen = screen.replace('="screen.', '="page/screen.')
         self._page_files = page_files()
         self.streams = Streams(unit.board, component, self._stamps)
         self.self_check = unit.self_check

@@ -111,6 +111,11 @@ async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
     assert named == {"page/style.css", "page/screen.css", "page/vendor/uPlot.min.css", *scripts}
     for path in named:
         assert (await unit.ask(f"/{path}")).status == 200
+    folder = Path(answers.__file__).with_name("page_files")  # served alone before there is a calibration
+    screen = (folder / "screen.html").read_text(encoding="utf-8")
+    beside = re.findall(r'(?:src|href)="([^":]*)"', screen)
+    assert beside == ["screen.css", "screen.js"]
+    assert all((folder / name).is_file() for name in beside)
     linked = set(re.findall(r'href="(api[^"]*)"', text))
     assert linked <= {path.path.removeprefix("/") for path in PATHS}
 
