@@ -32,12 +32,15 @@ from altd.records import FloatArray, Frame
 from altd.vision.image import Image
 from altd.vision.led_discs import Disc, disc_centres_px, find_discs
 from altd.vision.led_grid import match_grid
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015
 """Scatter of a laser spot about a map from LEDs, per axis: 0.009 mm by print and speckle, as at the nodes
 of scans (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which draws
 the centre of light of a 12 mm spot towards the middle."""
+_CENTRE_OVER_FIT = 2.0
+"""Scatter of the centre of light by speckle over that of a fitted profile, which the texture within a spot
+predicts: 1.3 to 2.1 on simulated grey and colour cameras with gamma 1 and 2.2, spots of 6 and 10 mm."""
 
 _MAX_MISSING_SHARE = 0.2
 _AREA_RATIO_LIMITS = 0.5, 2.0
@@ -180,6 +183,7 @@ def _target(
         camera=seen.camera,
         origin=seen.origin,
         fingerprint=hot_pixels_of(seen),
+        spot=replace(UNKNOWN_SPOT, pattern_px=pattern_px / _CENTRE_OVER_FIT, noise_px=pattern_px),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
     evidence = TargetEvidence(

@@ -1,6 +1,7 @@
 """Whole plates through the calibration: other lenses, dark corners, false lights, and what is refused."""
 
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from altd.calibration.from_plates import LASER_SPOT_SIGMA_MM
 from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
-from altd.records import Spot
+from altd.records import Frame, Spot
 from altd.vision.localise import locate
 from hw_sim.measure import random_poses
 from hw_sim.plate import Plate, record_plate, with_plate
@@ -148,6 +149,23 @@ def test_the_laser_spots_pattern_is_taken_into_sigma(result: CalibrationResult) 
         point = target.point(*(FRONT if target.name == "front" else REAR).to_px(np.array([[10.0, 5.0]]))[0])
         assert point is not None
         assert np.sqrt(np.diag(point.covariance_mm2)) == pytest.approx(LASER_SPOT_SIGMA_MM, rel=0.4)
+
+
+def test_a_grainy_spot_is_uncertain_by_as_much_as_its_grain_displaces_it(result: CalibrationResult) -> None:
+    target, rng = result.calibration.targets[0], np.random.default_rng(5)
+    v, u = np.mgrid[: target.height, : target.width]
+    ratios = []
+    for _ in range(30):
+        at_u, at_v = np.array([target.width, target.height]) / 2 + rng.uniform(-40.0, 40.0, 2)
+        light = 150.0 * np.exp(-2 * ((u - at_u) ** 2 + (v - at_v) ** 2) / 20.0**2)
+        pixels = light * np.maximum(1 + 0.4 * rng.standard_normal(light.shape), 0) + 8
+        pixels += rng.standard_normal(light.shape)
+        grey = np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
+        spot = locate(Frame("front", 0, 0, grey), target.localiser, None, target.spot)
+        assert isinstance(spot, Spot)
+        sigma_px = math.hypot(spot.sigma_px, spot.excess_px, LASER_SPOT_SIGMA_MM * target.px_per_mm)
+        ratios.append(np.array([spot.u_px - at_u, spot.v_px - at_v]) / sigma_px)
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.15
 
 
 class TestRefused:
