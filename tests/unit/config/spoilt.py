@@ -51,7 +51,7 @@ controls = { gain = «"much" }        # .gain: "much" is not a whole number
 controls = «16                       # 16 is not a table
 «trigger = "free"                    # it is a key of [cameras.NAME] with driver = "aravis"
 row_time_us = «nan                   # nan is not a finite number
-row_time_us = «-105                  # makes 480 rows last longer than a frame; possible: up to 104.4 either way
+row_time_us = «-105                  # makes 480 rows last longer than a frame; possible: up to 104.4
 pixel_format = «"yuyv"               # did you mean `YUYV`?
 «interface = "usb"                   # it is a key of [cameras.NAME] with driver = "aravis"
 -device                              # this key is missing; possible: path
