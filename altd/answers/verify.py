@@ -42,7 +42,7 @@ from altd.config import Measuring, Scan
 from altd.config.measuring import ScanLimits
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.calibration import Calibration
+from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.instrument import Solution
 from altd.recording.header import RecordingHeader
 from altd.recording.reader import Recording, open_recording
@@ -247,8 +247,7 @@ def _plates(
             target, others = target_of(calibration, path, seen.name), of_targets[seen.name]
             for other, _ in others:
                 _check_same_plate(other, seen)
-            of_set = plate_set(target, seen.plate, *spots_of_plate(seen, target.map, progress))
-            others.append((seen, of_set))
+            others.append((seen, _plate_set(seen, target, progress)))
             if sum(len(one.known_mm) for _, one in others) > MAX_POSITIONS:
                 raise BadInputError(seen.place, f"has more than {MAX_POSITIONS} discs")
     tests, reasons = list[LimitTest](), list[str]()
@@ -265,6 +264,16 @@ def _plates(
             objects.append(_recording_object(seen.parts[0].recording) | plate_object(name, one, errors))
             residuals += plate_residual_objects(len(objects), one, errors)
     return judge_agreement(tests, reasons), objects, residuals
+
+
+def _plate_set(
+    seen: TargetFrames, target: TargetCalibration, progress: Callable[[int, int], None]
+) -> PlateSet:
+    known_mm, spots_px = spots_of_plate(seen, target.map, progress)
+    try:
+        return plate_set(target, seen.plate, known_mm, spots_px)
+    except ValueError as error:
+        raise BadInputError(seen.place, f"{seen.name}: {error}") from error
 
 
 def _check_same_plate(first: TargetFrames, other: TargetFrames) -> None:

@@ -105,11 +105,12 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
 
 
 def _plate_line(one: dict[str, Any]) -> str:
-    found = f"{one['target']}: {one['valid']} of {counted(one['positions'], 'disc')}"
-    if one["rms_mm"] is not None:
-        found += f", rms {one['rms_mm']:.3f} mm, greatest {one['max_mm']:.3f} mm, "
-        found += f"rms(error/sigma) {one['rms_of_sigma']:.2f}"
-    return f"{found}; {one['recording']} shifted by {', '.join(f'{mm:g}' for mm in one['shift_mm'])} mm"
+    return (
+        f"{one['target']}: {one['valid']} of {counted(one['positions'], 'disc')}, "
+        f"rms {one['rms_mm']:.3f} mm, greatest {one['max_mm']:.3f} mm, "
+        f"rms(error/sigma) {one['rms_of_sigma']:.2f}; "
+        f"{one['recording']} shifted by {', '.join(f'{mm:g}' for mm in one['shift_mm'])} mm"
+    )
 
 
 def _number(test: dict[str, Any], key: str) -> str:

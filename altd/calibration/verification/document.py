@@ -82,20 +82,17 @@ def residual_objects(one: BeamSet, residuals: FloatArray) -> list[dict[str, Any]
 
 
 def plate_object(target: str, one: PlateSet, errors_mm: FloatArray) -> dict[str, Any]:
-    """Plate on a target, and its remaining errors (n, 2) mm; None where none were found."""
+    """Plate on a target, and its remaining errors (n, 2) mm."""
     distances_mm = np.linalg.norm(errors_mm, axis=1)
     ratios = errors_mm / np.sqrt(np.diagonal(one.covariance_mm2, axis1=1, axis2=2))
-    figures = {
-        "rms_mm": np.sqrt(np.mean(np.square(distances_mm))) if len(errors_mm) else np.nan,
-        "max_mm": distances_mm.max() if len(errors_mm) else np.nan,
-        "rms_of_sigma": np.sqrt(np.mean(np.square(ratios))) if len(errors_mm) else np.nan,
-    }
     return {
         "target": target,
         "shift_mm": [_short(value) for value in one.shift_mm.tolist()],
         "positions": one.plate.columns * one.plate.rows,
         "valid": len(one.known_mm),
-        **{key: _short(float(value)) if np.isfinite(value) else None for key, value in figures.items()},
+        "rms_mm": _short(float(np.sqrt(np.mean(np.square(distances_mm))))),
+        "max_mm": _short(float(distances_mm.max())),
+        "rms_of_sigma": _short(float(np.sqrt(np.mean(np.square(ratios))))),
     }
 
 
@@ -104,7 +101,6 @@ def plate_residual_objects(number: int, one: PlateSet, errors_mm: FloatArray) ->
     return [
         {"set": number, **dict(zip(("x_mm", "y_mm", "dx_mm", "dy_mm"), map(_short, row), strict=True))}
         for row in np.hstack([one.known_mm, errors_mm]).tolist()
-        if math.isfinite(row[2])
     ]
 
 

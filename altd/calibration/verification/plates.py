@@ -17,10 +17,14 @@ from altd.calibration.verification.verdict import COVERAGE, REQUIRED, LimitTest,
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Limits
+from altd.records.limits import NO_LIMITS
 
 _MIN_SHIFT = 1 / 8
 """Least shift beyond whole pitches, in pitches, that brings discs between the places of a calibration."""
 _MIN_DISCS = 8
+UNTOUCHED_MM, UNTOUCHED_MRAD = 0.05, 1.0
+"""Standard uncertainty of place and turn of a screen that was not touched: a pressed key, a warmer camera,
+and what discs and map have in common over the area."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +56,15 @@ class PlateSet:
 def plate_set(
     target: TargetCalibration, plate: PlateHeader, known_mm: FloatArray, px: FloatArray
 ) -> PlateSet:
-    """Map spots (n, 2) px at known places to mm; those outside the calibrated area are left out."""
+    """Map spots (n, 2) px at known places to mm; those outside the calibrated area are left out.
+
+    Raises ValueError if too few are within it.
+    """
     read_mm, _, covariance_mm2 = target.inverse.to_mm(px)
     kept = np.isfinite(read_mm).all(axis=1)
     read_mm = read_mm[kept]
+    if len(read_mm) < _MIN_DISCS or min(np.linalg.svd(read_mm - read_mm.mean(axis=0))[1]) < plate.pitch_mm:
+        raise ValueError(f"{len(read_mm)} discs in the calibrated area; {_MIN_DISCS} in two rows are needed")
     factor = np.asarray(
         np.linalg.solve(target.map.jacobian(read_mm), target.map.errors_px(read_mm)), dtype=np.float64
     )
@@ -76,23 +85,22 @@ def tests_of_plates(
         np.concatenate([getattr(of, key) for of in sets]) for key in ("known_mm", "read_mm", "map_factor")
     )
     is_untouched = plate.placed is not None and plate.placed.sigma_mm == plate.placed.sigma_deg == 0.0
-    turn = _turn(known, read) if len(known) else 0.0
+    turn = _turn(known, read)
     turned = known @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
     design = _design(turned, is_untouched)
-    if len(known) < _MIN_DISCS or np.linalg.matrix_rank(design) < design.shape[1]:
-        why = f"only {len(known)} discs lie in the calibrated area, at least {_MIN_DISCS} in rows are needed"
-        return [replace(test, why_not=why)], [np.full_like(of.known_mm, np.nan) for of in sets]
     spread = factor.transpose(1, 0, 2).reshape(2 * len(known), -1)
     own = np.concatenate([of.covariance_mm2 for of in sets]) - factor @ factor.transpose(0, 2, 1)
     covariance = spread @ spread.T + np.block([[np.diag(own[:, i, j]) for j in (0, 1)] for i in (0, 1)])
     fit = WeightedFit.of(design, (read - turned).T.ravel(), covariance)
-    scatter, stated = fit.scatter(), plate.limits
+    scatter, stated, before = fit.scatter(), plate.limits, calibration
+    if is_untouched:
+        of_screen = {"plate_mm": UNTOUCHED_MM, "plate_turn_mrad": UNTOUCHED_MRAD}
+        stated, before = replace(stated, **of_screen), NO_LIMITS
     parts, freedom = {"stated": scatter.stated}, scatter.degrees_of_freedom
     test = replace(
         test, value=scatter.experimental, sigma=scatter.stated, parts=parts, degrees_of_freedom=freedom,
         why_not=why_no_scatter(scatter, False),
     )  # fmt: skip
-    before = replace(calibration, plate_mm=0.0, plate_turn_mrad=0.0) if is_untouched else calibration
     unstated = "" if plate.placed else "the recording does not state --placed"
     tests = [test]
     for number, axis in enumerate("xy"):
