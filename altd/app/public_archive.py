@@ -22,6 +22,7 @@ import numpy as np
 from altd.app.calibration_summary import planar_summary_of, summary_of
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.parts import calibration_of_instrument
+from altd.calibration.verification.document import FORMAT
 from altd.config import Config
 from altd.devices.settings import LiveCameraSettings
 from altd.errors import BadInputError
@@ -73,7 +74,7 @@ def public_archive(config: Config, recording: Path | None, verification: Path | 
         DiagnosticPart("calibration.json", "figures of the calibration", lambda: _calibration(config)),
     ]
     if verification is not None:
-        tests = _verification(verification)
+        tests = _verification(verification, config.unit.serial)
         made.append(DiagnosticPart("verification.json", "tests of `altd verify`", lambda: tests))
     words = list(_known_words(config))
     parts = [part_of(part.name, part.meaning, _cleared(part.make, words)) for part in made]
@@ -136,9 +137,13 @@ def _calibration(config: Config) -> bytes:
     return _json(_public(figures.as_object() | {"unit": _REMOVED}))
 
 
-def _verification(path: Path) -> bytes:
+def _verification(path: Path, serial: str) -> bytes:
     try:
         document = parse_json(read_file(path, _MAX_BYTES))
+        if document["format"] != FORMAT:
+            raise ValueError(document["format"])
+        if (unit := document["unit"]) != serial:
+            raise BadInputError(path, f"is of unit {unit!r}, not {serial!r}")
         return _json(_public({key: document[key] for key in _OF_VERIFICATION}))
     except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(path, "is not a verification.json of `altd verify -o`") from error

@@ -49,13 +49,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--shift",
-        type=partial(_numbers, "shift", {"x_mm": MAX_POSITION_MM, "y_mm": MAX_POSITION_MM}),
+        type=partial(_numbers, "shift", "6.25,-6.25", {"x_mm": MAX_POSITION_MM, "y_mm": MAX_POSITION_MM}),
         metavar="X,Y",
         help="shift of the plate's LEDs to the right and up, mm, for `altd verify`; write it as --shift=X,Y",
     )
     parser.add_argument(
         "--placed",
-        type=partial(_numbers, "placing", {"sigma_mm": 100.0, "sigma_deg": 30.0, "camera_mm": 1e5}),
+        type=partial(
+            _numbers, "placing", "0.5,1,300", {"sigma_mm": 100.0, "sigma_deg": 30.0, "camera_mm": 1e5}
+        ),
         metavar="MM,DEG,CAMERA_MM",
         help="sigma of the plate's place and angle on the target, and the camera's distance",
     )
@@ -73,13 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     stated = parser.add_mutually_exclusive_group()
     stated.add_argument(
         "--pose",
-        type=partial(_numbers, "pose", POSE_COLUMNS),
+        type=partial(_numbers, "pose", "0,700,-15", POSE_COLUMNS),
         metavar="A,B,PHI",
         help="known pose of the plate of `planar`, mm and degrees; write it as --pose=A,B,PHI",
     )
     stated.add_argument(
         "--joints",
-        type=partial(_numbers, "place of three joints", JOINT_COLUMNS),
+        type=partial(_numbers, "place of three joints", "0,700,-15", JOINT_COLUMNS),
         metavar="J1,J2,J3",
         help="joints of the machine that moves it, mm, for `altd planar`",
     )
@@ -156,15 +158,15 @@ def _positive(what: str, limit: float, text: str) -> float:
     return value
 
 
-def _numbers(what: str, limits: Mapping[str, float], text: str) -> dict[str, float]:
-    """Return two or three numbers by their names."""
+def _numbers(what: str, example: str, limits: Mapping[str, float], text: str) -> dict[str, float]:
+    """Return numbers by their names."""
     try:
         values = dict(zip(limits, map(float, text.split(",")), strict=True))
     except ValueError:
         values = dict.fromkeys(limits, math.nan)
     if not all(abs(value) <= limits[column] for column, value in values.items()):
-        such = "two numbers such as 6.25,-6.25" if len(limits) == 2 else "three numbers such as 0,700,-15"
-        said = f"{text!r} is not a {what}; possible: {such}"
+        count = {2: "two", 3: "three"}[len(limits)]
+        said = f"{text!r} is not a {what}; possible: {count} numbers such as {example}"
         raise argparse.ArgumentTypeError(said)
     return values
 

@@ -127,6 +127,26 @@ COMMANDS = {
         "altd.app.diagnostics:_versions 1",
         says="(altd diagnose: .+\\n)+",
     ),
+    "diagnose for an issue": Command(
+        "diagnose --public --yes --config {config} --recording {beams} -o p.zip",
+        "altd.recording.reader:Recording.frame 3",
+    ),
+    "diagnose for an issue, at its question": Command(
+        "diagnose --public --config {config} -o p.zip",
+        "altd.cli.diagnose:_agrees 1",
+        says="(This archive .*\\n)(.+\\n)+?(altd diagnose: nothing is written\\n)?",
+    ),
+    "record of a plate": Command(
+        "record --config {config} -o kept --seconds 60 --kind plate --plate 7,5,25,0.05 --placed 0.5,1,300 "
+        "--target front --beam 5",
+        "altd.recording.writer:RecordingWriter.write 7",
+        frozenset({"kept"}),
+        says=r"altd record: interrupted: \d+ exposures? in kept\n",
+    ),
+    "planar": Command(
+        "planar driven --calibration {cal} --design {design} -o m.toml",
+        "altd.files.reading:read_file 1",
+    ),
     "check-config": Command("check-config {config}", "altd.config.loading:read_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
@@ -193,6 +213,7 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
         "served": served,
         "archive": archive,
         "fleet": fleet,
+        "design": ROOT / "config" / "planar-machine.toml",
         "tunnel": ROOT / "examples" / "tunnel",
     }
     return shlex.split(line.format(**scans, **files))

@@ -20,6 +20,8 @@ from support.played_unit import BEAMS, PlayedUnit
 from support.recordings import write_beams, write_scan
 from support.warm import Warm
 
+from altd.app.public_archive import CONSENT
+
 from .ended_commands import COMMANDS, ENVIRONMENT, HW_SIM, SIGNALS, Command, filled, run
 
 WITH_EVERY_SIGNAL = ("run", "replay")
@@ -70,6 +72,7 @@ DONE = {
         "altd diagnose: .*: only its files are in the archive\n(altd diagnose: .+\n)+",
         {"d.zip"},
     ),
+    "diagnose for an issue": (0, "This archive .*\n(.+\n)+", {"p.zip"}),
     "check-config": (0, "", set()),
     "devices": (0, "", set()),
     "registers": (0, "", set()),
@@ -97,6 +100,7 @@ FULL_DISK = {
     "export": (4, "t.csv"),
     "export's parquet": (4, "t.parquet"),
     "backup": (4, "b.tar.gz"),
+    "diagnose for an issue": (4, "p.zip"),
     "restore": (4, "unit.tar.gz"),
     "hw_sim scan": (1000, "kept"),
     "hw_sim flat": (1000, "kept"),
@@ -247,7 +251,8 @@ def test_ended_by_a_full_disk(
     ended = run(folder, [command.module, *line], warm_with_disks)
     prefix = "hw_sim" if command.module == HW_SIM else f"altd {command.line.split()[0]}"
     assert re.fullmatch(
-        rf"{prefix}: [^\n]*{place}[^\n]*: (cannot be written: )?No space left on device\n", ended.err
+        rf"{prefix}: [^\n]*{place}[^\n]*: (cannot be written: )?No space left on device\n",
+        ended.err.removeprefix("\n".join([*CONSENT, ""])),
     ), ended
     assert ended.status == 2
     assert ended.left <= ({"cal.json"} if "report" in name else set())

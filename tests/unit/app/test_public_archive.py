@@ -21,7 +21,7 @@ SECRET = "correct-horse-battery"
 HOST = "my-own-laptop"
 ADDRESS = "192.0.2.77"
 VERIFICATION = {
-    "format": "altd-verification/2",
+    "format": "altd-verification/1",
     "unit": "TEST-1",
     "created": "2026-11-30T12:00:00.000Z",
     "origin": "camera",
@@ -110,7 +110,15 @@ def test_nothing_is_written_without_consent(place: Path, monkeypatch: pytest.Mon
     assert getpass.getuser() not in written.out
 
 
-@pytest.mark.parametrize("content", ["{}", "[]", "no JSON"])
+def test_a_verification_of_another_unit_is_refused(place: Path) -> None:
+    (place.parent / "verification.json").write_text(json.dumps(VERIFICATION | {"unit": "OTHER"}))
+    options = ["--public", "--yes", "--config", place, "--verification", place.parent / "verification.json"]
+    assert refusal(altd_here("diagnose", *options)).endswith("is of unit 'OTHER', not 'TEST-1'")
+
+
+@pytest.mark.parametrize(
+    "content", ["{}", "[]", "no JSON", json.dumps(VERIFICATION | {"format": "altd-verification/2"})]
+)
 def test_a_file_that_is_no_verification_is_refused(place: Path, content: str) -> None:
     (place.parent / "verification.json").write_text(content)
     options = ["--public", "--yes", "--config", place, "--verification", place.parent / "verification.json"]

@@ -57,7 +57,7 @@ pixel_format = «"yuyv"               # did you mean `YUYV`?
 -device                              # this key is missing; possible: path
 [cameras.rear]
 interface = «"eth0"                  # possible: "gige" or "usb"
-resend = «false; interface = "usb"   # is for interface = "gige" alone
+packet_bytes = «8228; interface = "usb" # is for interface = "gige" alone
 pixel_format = «"YUYV"               # "Mono8" or "Mono10" or
 fps = «10                            # 10 is not the rate of camera "front"; possible: 20
 features = { Gamma = «[1.0] }        # .Gamma: a list cannot be used; possible: number,
