@@ -43,9 +43,11 @@ PEAK = 0.7
 ROOM = 0.012
 """Light of the room on the paper, in parts of the full scale."""
 BLUR_PX = 0.8
-GRAIN, CLOUDS, CLOUD_MM = 0.06, 0.02, 1.5
-"""Contrast of the paper's texture from pixel to pixel; contrast and size of its clouds."""
-SPECKLE_CONTRAST, SPECKLE_MM, SPECKLE_RAD = 0.10, 0.5, 0.008
+WAVELENGTH_MM, PUPIL_MM = 650e-6, 1.3
+"""Pupil of F/2.2 at the 2.9 mm that pixels of 3 µm need."""
+LENS_MM = 200.0
+"""From the lens to its paper."""
+SPECKLE_MM, SPECKLE_RAD = 0.5, PUPIL_MM / LENS_MM
 
 SCREEN_LEVEL = 0.6
 SCREEN_SUBSAMPLES = 6
@@ -57,6 +59,25 @@ REST_S = 0.3
 STREAM = 31
 """Separate random stream, apart from those of other simulated units."""
 
+FIBRE_MM, CLOUD_MM = 0.1, 1.0
+"""Sigma of the Gaussian autocorrelation of a paper's fibres and of its formation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """Contrast of the light that a paper scatters, and of its speckle, 1 as calculated.
+
+    A sheet's mass varies by 5 % over 1 mm, and by twice as much over its fibres. Where the share T of the
+    light passes, that light varies by 1 − T of it: 0.4 in tracing paper, 0.8 in writing paper.
+    """
+
+    fibres: float = 0.05
+    clouds: float = 0.02
+    speckle: float = 1.0
+
+
+TRACING_PAPER = Paper()
+
 Path_ = Callable[[float], BeamPose]
 """Pose of the beam at a time in s."""
 
@@ -65,9 +86,9 @@ Path_ = Callable[[float], BeamPose]
 class Screen:
     """Bright discs on a black screen that is held where a target is, centred on it.
 
-    ``pitch_mm`` is what the user states; the true one is ``1 + scale_error`` times that. ``tilt_deg`` turns
-    the screen about the target's x axis. ``stated`` has more keys of the plate's header, such as how well the
-    pitch is known.
+    ``pitch_mm`` is what the user states; the true one is ``1 + scale_error`` times that. ``aside_mm`` moves
+    the screen along x and y, ``turns_deg`` turns it about the target's y, x and z axes. ``stated`` has more
+    keys of the plate's header, such as how well the pitch is known.
     """
 
     columns: int = 9
@@ -76,7 +97,8 @@ class Screen:
     disc_mm: float = 5.0
     pixel_mm: float = 0.2
     scale_error: float = 0.0
-    tilt_deg: float = 0.0
+    aside_mm: tuple[float, float] = (0.0, 0.0)
+    turns_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     stated: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -91,9 +113,11 @@ class Screen:
         scale = np.float32(1.0 + self.scale_error)
         shining: Image = np.ones_like(x_mm)
         square_mm2 = np.zeros_like(x_mm)
-        for at_mm, count, share in ((x_mm, self.columns, APERTURE[0]), (y_mm, self.rows, APERTURE[1])):
-            pixel = np.floor(at_mm / np.float32(self.pixel_mm))
-            shining *= np.abs(at_mm / np.float32(self.pixel_mm) - pixel - np.float32(0.5)) < share / 2
+        counts = self.columns, self.rows
+        for at_mm, aside_mm, count, share in zip((x_mm, y_mm), self.aside_mm, counts, APERTURE, strict=True):
+            at = (at_mm - np.float32(aside_mm)) / np.float32(self.pixel_mm)
+            pixel = np.floor(at)
+            shining *= np.abs(at - pixel - np.float32(0.5)) < share / 2
             middle_mm = (pixel + np.float32(0.5)) * np.float32(self.pixel_mm) / scale
             from_first = middle_mm / np.float32(self.pitch_mm) + np.float32((count - 1) / 2)
             nearest = np.clip(np.rint(from_first), 0, count - 1)
@@ -104,23 +128,25 @@ class Screen:
 class DeskCamera:
     """A webcam fixed in front of its paper."""
 
-    def __init__(self, name: str, webcam: Webcam, rng: np.random.Generator, blur_px: float = BLUR_PX) -> None:
-        self.name, self.webcam, self.blur_px = name, webcam, blur_px
-        self.z_mm = 0.0 if name == FRONT else DISTANCE_MM
+    def __init__(self, name: str, unit: "Desk") -> None:
+        rng = np.random.default_rng([unit.seed, STREAM, CAMERAS.index(name)])
+        webcam, paper = unit.webcam, unit.paper
+        self.name, self.webcam, self.blur_px = name, webcam, unit.blur_px
+        self.z_mm = 0.0 if name == FRONT else DISTANCE_MM + unit.distance_error_mm
         self.lens = _lens(name == FRONT, webcam, rng)
         self._x_mm, self._y_mm = self._seen(self.lens)
         x_mm, y_mm = self._x_mm, self._y_mm
         self._falloff = self.lens.relative_illumination(x_mm, y_mm).astype(np.float32)
         shape = x_mm.shape
-        grain = rng.standard_normal(shape, dtype=np.float32)
-        clouds = cv2.GaussianBlur(
-            rng.standard_normal(shape, dtype=np.float32), (0, 0), CLOUD_MM * webcam.height_px / FIELD_MM / 2
-        )
-        paper = 1 + np.float32(GRAIN) * grain + np.float32(CLOUDS) * clouds / clouds.std()
-        self._response = cv2.GaussianBlur(paper, (0, 0), blur_px) * self._falloff
+        pixel_mm = FIELD_MM / webcam.height_px
+        sheet: Image = np.ones(shape, dtype=np.float32)
+        for contrast, size_mm in ((paper.fibres, FIBRE_MM), (paper.clouds, CLOUD_MM)):
+            sheet += np.float32(contrast) * _grain(rng, shape, size_mm / pixel_mm)
+        self._response = cv2.GaussianBlur(sheet, (0, 0), self.blur_px) * self._falloff
         normals = rng.standard_normal((shape[0] + SHIFTS, shape[1] + SHIFTS), dtype=np.float32)
         grains: Image = np.asarray(cv2.GaussianBlur(normals, (0, 0), GRAIN_SIGMA_PX), dtype=np.float32)
-        self._speckle = LaserSpeckle(grains / grains.std(), SPECKLE_CONTRAST, SPECKLE_MM, SPECKLE_RAD)
+        contrast = paper.speckle * speckle_contrast(pixel_mm)
+        self._speckle = LaserSpeckle(grains / grains.std(), contrast, SPECKLE_MM, SPECKLE_RAD)
         self._room = np.float32(ROOM) * (1 + x_mm / 200 + y_mm / 400) * self._response
         self._noise = NoisePool(rng)
         self._frames = 0
@@ -133,9 +159,8 @@ class DeskCamera:
 
     def screen(self, screen: Screen) -> Image:
         """Light of a lit screen in the target's place."""
-        lens = replace(
-            self.lens, rotation=self.lens.rotation @ rotation(0.0, math.radians(screen.tilt_deg), 0.0)
-        )
+        turns = rotation(*(math.radians(turn) for turn in screen.turns_deg))
+        lens = replace(self.lens, rotation=self.lens.rotation @ turns)
         x_mm, y_mm = self._seen(lens)
         (x_by_v, x_by_u), (y_by_v, y_by_u) = np.gradient(x_mm), np.gradient(y_mm)
         offsets = (np.arange(SCREEN_SUBSAMPLES, dtype=np.float32) + 0.5) / SCREEN_SUBSAMPLES - 0.5
@@ -182,6 +207,22 @@ class DeskCamera:
         return self.webcam.grey(none if laser is None else laser, white, noise, gain)
 
 
+def speckle_contrast(pixel_mm: float) -> float:
+    """Contrast of speckle from pixel to pixel, where a pixel sees a square of ``pixel_mm`` of the paper.
+
+    A grain has the area λ² z² / pupil (Goodman, J. Opt. Soc. Am. 66, 1145, 1976). A pixel is the mean of
+    1 + square / grain of them, and paper adds two polarisations.
+    """
+    grain_mm2 = (WAVELENGTH_MM * LENS_MM) ** 2 / (math.pi * PUPIL_MM**2 / 4)
+    return 1 / math.sqrt(2 * (1 + pixel_mm**2 / grain_mm2))
+
+
+def _grain(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Image:
+    """Means over pixels of a texture with variance 1 and the autocorrelation exp(−r²/2σ²)."""
+    white = rng.standard_normal(shape, dtype=np.float32) * np.float32(math.sqrt(2 * math.pi) * sigma_px)
+    return np.asarray(cv2.GaussianBlur(white, (0, 0), sigma_px / math.sqrt(2.0)), dtype=np.float32)
+
+
 def _lens(is_front: bool, webcam: Webcam, rng: np.random.Generator) -> Lens:
     """A lens beside the beam, 200 mm before its target; the front camera looks against the beam."""
     distance_mm = float(rng.uniform(195.0, 205.0))
@@ -203,6 +244,7 @@ def _lens(is_front: bool, webcam: Webcam, rng: np.random.Generator) -> Lens:
 class Desk:
     """A desk unit. ``lag_s`` is the delay of the rear camera, which runs freely.
 
+    ``distance_error_mm`` is the papers' distance minus the stated one, ``limits`` its stated uncertainty.
     ``states_row_time``: the headers of the recordings hold the row time, as a config that states it.
     """
 
@@ -210,6 +252,9 @@ class Desk:
     seed: int = 1
     lag_s: float = 0.007
     blur_px: float = BLUR_PX
+    paper: Paper = TRACING_PAPER
+    distance_error_mm: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
     states_row_time: bool = True
 
     @property
@@ -219,8 +264,7 @@ class Desk:
 
     def camera(self, name: str) -> DeskCamera:
         """One of its cameras."""
-        rng = np.random.default_rng([self.seed, STREAM, CAMERAS.index(name)])
-        return DeskCamera(name, self.webcam, rng, self.blur_px)
+        return DeskCamera(name, self)
 
     def record_plate(self, folder: Path, name: str, screen: Screen, exposures: int = 4) -> None:
         """Write a plate recording of one target: ``exposures`` frames of a black screen, then as many lit."""
@@ -231,7 +275,7 @@ class Desk:
             on = number >= exposures
             frames.append(_Row(number, t_s, name, on, camera.frame(t_s, None, lit if on else 0 * lit)))
             t_s += self.webcam.period_s(not on)
-        self._write(folder, "plate", (name,), frames, {"plate": screen.header})
+        self._write(folder, "plate", (name,), frames, {"plate": screen.header, "limits": dict(self.limits)})
 
     def record_beams(self, folder: Path, beams: Sequence["Beam"], exposures: int) -> None:
         """Write ``exposures`` frame sets of each beam, one beam after the other."""
@@ -372,7 +416,7 @@ def run(arguments: argparse.Namespace) -> int:
         late_ms=arguments.late,
     )
     desk = Desk(webcam, arguments.seed)
-    screen = Screen(scale_error=arguments.scale, tilt_deg=arguments.tilt)
+    screen = Screen(scale_error=arguments.scale, turns_deg=(0.0, arguments.tilt, 0.0))
     for name in CAMERAS:
         desk.record_plate(folder / f"plate-{name}", name, screen)
     beams = desk.beams(arguments.beams, arguments.exposures, arguments.speed)
