@@ -317,8 +317,7 @@ and it is {exact[2]:.2f} (four units).
 **Where error/sigma is below 0.8**, sigma is too large. With gamma 2.2 the formation of the paper is strong
 in the dim outskirts of a spot: light that is not of one spot, since a plate does not show how spots usually
 look. In motion, sigma of x and y contains a possible lag of all cameras by a frame, which nothing shows:
-0.05 mm at {SPEED_MM_PER_S:g} mm/s. Where an uncertainty of 1 % or 2° is stated, it is one sigma, but of one
-error.
+0.05 mm at {SPEED_MM_PER_S:g} mm/s. Where scale and tilt are stated, one of them errs, by one sigma.
 
 **Motion.** With a rolling shutter of {ROW_TIME_US:g} µs a row yaw and pitch err by {unknown[1] or 0.0:.4f}°
 if `row_time_us` is not stated and by {stated[1] or 0.0:.4f}° if it is, with a global shutter by
