@@ -40,7 +40,8 @@ of scans (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-of
 the centre of light of a 12 mm spot towards the middle."""
 _CENTRE_OVER_FIT = 2.0
 """Scatter of the centre of light by speckle over that of a fitted profile, which the texture within a spot
-predicts: 1.3 to 2.1 on simulated grey and colour cameras with gamma 1 and 2.2, spots of 6 and 10 mm."""
+predicts: 1.2 to 2.1 on simulated cameras, grey and colour, with gamma 1 and 2.2. Texture coarser than that
+raises it to 2.4, and to 3.5 without speckle, where ``LASER_SPOT_SIGMA_MM`` is enough."""
 
 _MAX_MISSING_SHARE = 0.2
 _AREA_RATIO_LIMITS = 0.5, 2.0
