@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+OF_LATE_FRAMES = {"out_of_step", "warming_up", "stale", "front_camera_silent", "rear_camera_silent"}
+"""Reasons where the computer has too little time for cameras that are programs or drivers on it."""
 _ANSWER_WITHIN_S = 20.0
 _VALID_AGAIN_S = 60.0
 

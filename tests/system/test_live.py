@@ -17,7 +17,7 @@ import pytest
 from fuzz.hostile.spray import spray
 from support.cli import altd_here
 from support.gige import register
-from support.held import hold
+from support.held import OF_LATE_FRAMES, hold
 from support.own_network import inside
 
 from altd.config import load_config
@@ -198,7 +198,10 @@ class TestFrameLedsOnTheirOutputs:
                 assert 4 <= said["exposures_lost"] <= 9
                 assert outputs() == [0, 0]
             watch.first(lambda seen: seen.valid, time.monotonic() + 1.0, 60.0)
-            assert [seen.reasons for seen in watch.seen if seen.arrived_s > begun_s and not seen.valid] == []
+            measured = [seen for seen in watch.seen if seen.arrived_s > begun_s]
+            refused = [seen.reasons - {"rehearsal", "exposures_lost"} for seen in measured if not seen.valid]
+            assert len(refused) < len(measured) / 2
+            assert [reasons for reasons in refused if not reasons <= OF_LATE_FRAMES] == []
             daemon.send(signal.SIGTERM)
             assert daemon.process.wait(60) == 0
             assert outputs() == [0, 0]

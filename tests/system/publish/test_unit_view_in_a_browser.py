@@ -286,7 +286,8 @@ async def test_a_plate_that_is_shown_keeps_its_pitch_or_the_page_says_why_not(
         await devtools.send("Emulation.setDeviceMetricsOverride", metrics)
         await devtools.send("Emulation.setPageScaleFactor", {"pageScaleFactor": pinched})
         if says is None:
-            await page.wait_for_function("plate.width === innerWidth")
+            while not await page.evaluate("plate.width === innerWidth"):  # noqa: ASYNC110  in a page without eval
+                await asyncio.sleep(0.05)
             assert await _step_px(shown) == step_px
             await page.keyboard.press("x")
         await page.locator("#setup").wait_for()
