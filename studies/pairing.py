@@ -21,6 +21,8 @@ DRIFT_PPM = 20.0
 """Difference of the two crystals."""
 WRONG_PERIODS = 0.7
 """Distance of the true times in a wrong frame set. A lag of half a period has two right partners."""
+BURSTS = ((1, 2), (2, 2), (2, 3), (1, 4))
+"""Numbers of frames that each camera's driver delivers, and stamps, at once."""
 BUDGET_FROM_MS, BUDGET_STEP_MS, BUDGET_WHOLE = 3.0, 0.5, 99.0
 BEFORE = {
     (15, 0.0): (100.0, 100.0, 0.0, 100.0, 100.0, 0.0),
@@ -59,8 +61,20 @@ def stamps_ms(times_ms: FloatArray, jitter_ms: float, bursts: bool, rng: np.rand
 def shares(rate_hz: float, lag_periods: float, jitter_ms: float, bursts: bool = False) -> tuple[float, float]:
     """Shares of the exposures in whole and in wrong frame sets at the default limits, %."""
     rng = np.random.default_rng([SEED, round(rate_hz), round(2 * jitter_ms), round(4 * lag_periods)])
-    times_ms, limits = exposures_ms(rate_hz, lag_periods), Measuring()
-    stamps = stamps_ms(times_ms, jitter_ms, bursts, rng)
+    times_ms = exposures_ms(rate_hz, lag_periods)
+    return shares_of(times_ms, stamps_ms(times_ms, jitter_ms, bursts, rng), rate_hz)
+
+
+def stamped_at_once_ms(times_ms: FloatArray, sizes: tuple[int, int]) -> FloatArray:
+    """Stamps of frames that each camera's driver delivers so many at a time, 0.3 ms apart."""
+    n = np.arange(EXPOSURES)
+    last = np.array([np.minimum(n // size * size + size - 1, EXPOSURES - 1) for size in sizes])
+    return np.take_along_axis(times_ms, last, axis=1) - 0.3 * (last - n)
+
+
+def shares_of(times_ms: FloatArray, stamps: FloatArray, rate_hz: float) -> tuple[float, float]:
+    """Shares of exposures with these stamps in whole and in wrong frame sets, %."""
+    limits = Measuring()
     pairer: Pairer[int] = Pairer(("front", "rear"), "time", limits.max_skew_ns, limits.max_lag_ns)
     apart_ms: list[float] = []
     for index in np.argsort(stamps.ravel(), kind="stable").tolist():
@@ -92,6 +106,11 @@ def run(progress: Progress) -> Result:
         rows.append(Row(f"{rate_hz}/s, {jitter_ms:g} ms", values, BEFORE[rate_hz, jitter_ms]))
     progress("pairing: budget")
     budgets = [budget_ms(rate_hz) for rate_hz in RATES_HZ]
+    at_once = []
+    for rate_hz, lag, sizes in product(RATES_HZ, LAGS_PERIODS, BURSTS):
+        times_ms = exposures_ms(rate_hz, lag)
+        at_once.append(shares_of(times_ms, stamped_at_once_ms(times_ms, sizes), rate_hz))
+    most_whole_at_once, most_wrong_at_once = np.max(at_once, axis=0)
     most_wrong = max(row.ours[-1] or 0.0 for row in rows)
     most_before = max(values[-1] for values in BEFORE.values())
     figure, (axis,) = panels()
@@ -132,6 +151,12 @@ are whole: there fewer than before are measured, but before, up to {most_before:
 
 The headline's jitter is the largest, in steps of {BUDGET_STEP_MS:g} ms, for normal jitter and for bursts
 (exponential delays of this standard deviation), at a lag of 0 and of half a period.
+
+Stamps may tell when frames arrived, not when they were exposed: of a driver that delivers two, three or four
+at once, each is near several frames of the other camera. Two stamps within 0.3 periods are not those of two
+exposures. A camera with more than a quarter of such stamps, or with any while no line is known, is
+`out_of_step`. Of {len(at_once)} such cases at most {most_whole_at_once:.1f} % of the sets are
+whole and {most_wrong_at_once:.2f} % are wrong.
 """,
         figure=figure,
         caption="Whole frame sets by jitter at no lag; dashed: before",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Generic, Literal, TypeVar
 
-from altd.measuring.regular_times import RESTART_GAP_NS, RegularTimes
+from altd.measuring.regular_times import RESTART_GAP_NS, RegularTimes, Stamp
 from altd.reasons import Reason
 from altd.statistics import MAD_TO_SIGMA
 
@@ -74,7 +74,7 @@ class _Waiting(Generic[Item]):
     """Time less the camera's lag; of free-running cameras the time by its line (``RegularTimes``)."""
     off_ns: int
     """Time less that by the line."""
-    is_on_line: bool
+    stamp: Stamp
     arrived_ns: int
     delivery: int
     """Number of frames that its camera had delivered, including this one."""
@@ -213,11 +213,11 @@ class Pairer(Generic[Item]):
         ``arrived_ns`` is the time of its arrival if that is known. Items that arrive faster than they were
         exposed were delayed: their partners are on the way, too.
         """
-        regular_ns, is_on_line = t_ns, False
+        regular_ns, stamp = t_ns, Stamp.ALONE
         if self._lags:
-            regular_ns, is_on_line = self._regular[camera].add(sequence, t_ns)
+            regular_ns, stamp = self._regular[camera].add(sequence, t_ns)
             # The lag of a camera that was restarted is that of its stamps, before the line is known.
-            self._lags.add(camera, regular_ns if is_on_line else t_ns)
+            self._lags.add(camera, regular_ns if stamp is Stamp.ON_LINE else t_ns)
         aligned_ns = regular_ns - self.lags_ns.get(camera, 0)
         since_ns, last_ns = self._delivers_ns.get(camera, (aligned_ns, aligned_ns))
         is_broken = not 0 <= aligned_ns - last_ns <= RESTART_GAP_NS
@@ -225,7 +225,7 @@ class Pairer(Generic[Item]):
         self._delivered[camera] += 1
         arrived_ns = t_ns if arrived_ns is None else arrived_ns
         new = _Waiting(
-            *(camera, sequence, t_ns, aligned_ns, t_ns - regular_ns, is_on_line),
+            *(camera, sequence, t_ns, aligned_ns, t_ns - regular_ns, stamp),
             *(arrived_ns, self._delivered[camera], item),
         )
         self._expire(new)
@@ -335,7 +335,8 @@ class Pairer(Generic[Item]):
         aligned = [waiting.aligned_ns for waiting in group.values()]
         stamped = [waiting.aligned_ns + waiting.off_ns for waiting in group.values()]
         skew_ns = max(stamped) - min(stamped)
-        is_off = skew_ns > self._max_skew_ns and not all(waiting.is_on_line for waiting in group.values())
+        seen = {waiting.stamp for waiting in group.values()}
+        is_off = Stamp.CROWDED in seen or (skew_ns > self._max_skew_ns and seen != {Stamp.ON_LINE})
         gap = 0 if self._last_number is None else max(sequence - self._last_number - 1, 0)
         self.lost_pairs += gap + (len(group) < len(self.cameras) or is_off)
         self._last_number = sequence

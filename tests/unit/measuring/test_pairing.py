@@ -240,10 +240,10 @@ def test_by_time_a_frame_near_two_of_the_other_camera_is_given_once() -> None:
     stamps = {("front", n): t for n, t in front.items()} | {("rear", n): t for n, t in rear.items()}
     p = pairer("time")
     given = [
-        (camera, item)
+        item
         for (camera, n), t in sorted(stamps.items(), key=lambda stamp: stamp[1])
-        for pair in p.add(camera, n, t * MS, n)
-        for camera, item in pair.items.items()
+        for pair in p.add(camera, n, t * MS, f"{camera} {n}")
+        for item in pair.all_items
     ]
     assert len(given) == len(set(given)) > 10
 
@@ -448,6 +448,34 @@ def test_by_time_a_disturbed_camera_never_gives_frames_of_two_periods(
 
 def test_by_time_a_jitter_beyond_a_fifth_of_the_period_gives_no_frame_sets() -> None:
     assert len(Jittery(15.0).pairs()) < 10
+
+
+@pytest.mark.parametrize("sizes", [(1, 2), (2, 2), (2, 3), (1, 4)])
+@pytest.mark.parametrize("lag", [0.0, 0.25, 0.5, 0.75])
+def test_by_time_frames_stamped_as_they_arrive_in_bursts_give_no_sets_of_two_periods(
+    lag: float, sizes: tuple[int, int]
+) -> None:
+    """Stamps of a burst tell nothing of its exposures; each is near several frames of the other camera."""
+    unit = Jittery(0.2)
+    unit.frames["rear"][:, [0, 2, 3]] += (lag - 0.3) * PERIOD_MS
+    for (camera, frames), size in zip(unit.frames.items(), sizes, strict=True):
+        last = np.minimum(np.arange(len(frames)) // size * size + size - 1, len(frames) - 1)
+        frames[:, 2:] = frames[last, 2:] - 0.3 * (last - np.arange(len(frames)))[:, None]
+        unit.frames[camera] = frames
+    apart_ms = [abs(pair.items["rear"] - pair.items["front"]) for pair in unit.pairs()]
+    # The first burst is not yet known.
+    assert [each for each in apart_ms[1:] if each > 0.85 * PERIOD_MS] == []
+
+
+def test_by_time_uneven_triggers_are_no_bursts() -> None:
+    """Intervals as those of ``trigger = "software"``, and 2 ms of jitter."""
+    unit = Jittery(0.0)
+    random = np.random.default_rng(2)
+    triggers_ms = np.cumsum(random.uniform(0.5, 1.5, 400)) * PERIOD_MS
+    for frames in unit.frames.values():
+        frames[:, 0] = triggers_ms
+        frames[:, 2:] = (triggers_ms + random.normal(0, 2.0, 400))[:, None]
+    assert len(unit.pairs()) > 390
 
 
 def test_by_time_the_jitter_of_the_stamps_is_in_sigma_of_moving_spots() -> None:
