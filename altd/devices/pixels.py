@@ -121,7 +121,7 @@ def _packed(
 
 
 _JPEG_BEGIN, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
-_JPEG_SIZES = frozenset({0xC0, 0xC1})
+_JPEG_SIZES = b"\xc0", b"\xc1"
 """Markers of frames with their size: baseline and extended (ITU-T T.81, table B.1); none is progressive."""
 _JPEG_GOES_ON = bytes(8)
 
@@ -137,7 +137,7 @@ def _decoded(data: Bytes, width: int, height: int) -> PixelArray:
     if not content.startswith(_JPEG_BEGIN):
         raise ValueError("is no whole JPEG")
     at = len(_JPEG_BEGIN)
-    while content[at : at + 1] == b"\xff" and content[at + 1] not in _JPEG_SIZES:
+    while content[at : at + 1] == b"\xff" and content[at + 1 : at + 2] not in _JPEG_SIZES:
         at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
     size = content[at + 5 : at + 9]
     if size != height.to_bytes(2, "big") + width.to_bytes(2, "big"):

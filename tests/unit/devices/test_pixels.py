@@ -1,5 +1,6 @@
 """Pixel formats against bytes that were written out by hand from the formats' tables."""
 
+import contextlib
 import struct
 
 import cv2
@@ -120,6 +121,7 @@ def as_claimed(whole: bytes, width: int, height: int) -> bytes:
         WHOLE[: len(WHOLE) // 2] + b"\xff\xd9" + WHOLE,
         WHOLE + WHOLE,
         jpeg(SMOOTH, cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+        b"\xff\xd8\xff",
         bytes(100),
         np.random.default_rng(2).bytes(3000),
     ],
@@ -127,3 +129,13 @@ def as_claimed(whole: bytes, width: int, height: int) -> bytes:
 def test_a_jpeg_that_lacks_bytes_is_of_another_size_or_kind_or_none_is_no_frame(data: bytes) -> None:
     with pytest.raises(ValueError, match="JPEG"):
         PIXEL_FORMATS["MJPG"].pixels(data, WIDTH, HEIGHT, 0)
+
+
+def test_a_jpeg_with_any_other_byte_in_its_header_is_a_picture_of_its_size_or_no_frame() -> None:
+    random = np.random.default_rng(7)
+    of = PIXEL_FORMATS["MJPG"]
+    for at in range(WHOLE.index(b"\xff\xda") + 14):
+        for byte in random.integers(0, 256, 3).tolist():
+            for data in (WHOLE[:at] + bytes([byte]) + WHOLE[at + 1 :], WHOLE[:at] + bytes([byte])):
+                with contextlib.suppress(ValueError):
+                    assert of.pixels(data, WIDTH, HEIGHT, 0).shape == (HEIGHT, WIDTH)
