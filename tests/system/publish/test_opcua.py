@@ -60,7 +60,7 @@ class Running:
         assert self.unit.publisher.process is not None
         return self.unit.publisher.process.pid
 
-    async def until(self, holds: Callable[[], object], within_s: float = 60.0) -> None:
+    async def until(self, holds: Callable[[], object], within_s: float = 150.0) -> None:
         deadline_s = time.monotonic() + within_s
         while not holds():
             component = self.unit.component
