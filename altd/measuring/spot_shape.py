@@ -29,6 +29,11 @@ for spots of the calibrated size: its curvature and the lens' fall-off displace 
 _BIAS_PER_LOSS = 1 / 8
 """Displacement in radii per share of the light that a film takes: a film that is a ramp over the spot does
 not change its shape, and shifts it by at most a quarter."""
+_STRETCH_PER_TEXTURE = 0.7
+"""Scatter of a spot's stretch, per component, over that of its centre by texture in radii. In good drawn
+frames it is 0.4 to 0.9: print, speckle of laser pointers on paper, JPEG."""
+_SIZE_SIGMA = 0.02
+"""Scatter of the logarithm of a radius by texture; in the same frames 0.01 to 0.03."""
 EXPLAINED_SIGMAS = 3.0
 _MIN_DISTORTION_SIGMAS = 6.0
 _MIN_DISTORTION_STRETCH = 0.015
@@ -137,6 +142,11 @@ def shape_doubts_mm(
             doubts_mm[index] = BIAS_PER_MM2 * abs(
                 _diameter_mm(shape[0]) ** 2 - _diameter_mm(reference.mean[0]) ** 2
             )
+    if not any(known):
+        known = [
+            None if shape is None else _unseen_by_the_calibration(shape, point, excess_px)
+            for shape, point, excess_px in zip(shapes, points, mean.excess_px, strict=True)
+        ]
     first, first_known = shapes[0], known[0]
     if first is None or first_known is None:
         return doubts_mm
@@ -158,6 +168,17 @@ def shape_doubts_mm(
         sigma_mm = sum(sigmas_mm) / len(sigmas_mm) if sigmas_mm else compared.sigma_mm
         doubts_mm[[0, index]] = np.hypot(doubts_mm[[0, index]], sigma_mm)
     return doubts_mm
+
+
+def _unseen_by_the_calibration(shape: FloatArray, point: TargetPoint, excess_px: float) -> ShapeReference:
+    """Return the reference for a calibration without laser spots, as from a plate, whose mean is not known.
+
+    The targets' spots are alike but for the texture, by which their centres scatter, too.
+    """
+    px2_to_mm2 = float(np.square(point.jacobian_mm_per_px).sum()) / 2
+    texture_mm = math.sqrt(float(np.trace(point.covariance_mm2)) / 2 + excess_px**2 * px2_to_mm2)
+    sigma = _STRETCH_PER_TEXTURE * texture_mm / math.exp(shape[0])
+    return ShapeReference((0.0, 0.0, 0.0, 1.0), (_SIZE_SIGMA, sigma, sigma, 1.0))
 
 
 def _in_mm(shapes: Sequence[SpotShape | None], points: Sequence[TargetPoint]) -> list[FloatArray | None]:
