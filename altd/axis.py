@@ -239,7 +239,8 @@ class Axis:
             way = way + step if low <= way + step <= high else (low + high) / 2
         chainage_m = float(self._chainages[piece]) + way
         height_m, gradient = self.height(chainage_m)
-        along = along / closer
+        if closer != 0.0:  # else at an arc's centre, which is further away than ``max_offset_m``
+            along = along / closer
         normal = np.array([[*along, 0.0], [*right, 0.0], [*(-gradient * along), 1.0]])
         return Foot(chainage_m, offset_m, float(point[2]) - height_m, normal)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -145,7 +146,7 @@ def shape_doubts_mm(
     if not any(known):
         known = [
             None if shape is None else _unseen_by_the_calibration(shape, point, excess_px)
-            for shape, point, excess_px in zip(shapes, points, mean.excess_px, strict=True)
+            for shape, point, excess_px in zip(shapes, points, mean.excess_px or repeat(0.0), strict=False)
         ]
     first, first_known = shapes[0], known[0]
     if first is None or first_known is None:

@@ -21,6 +21,7 @@ import pytest
 from support.foreign import need, need_program, need_receive_buffer
 
 BUFFERS = 16
+FOUND_WITHIN_S = 20.0
 FRAME_WITHIN_US = 20_000_000
 """Long, for a busy machine loses packets of one frame after another; a camera that is silent never sends."""
 
@@ -44,8 +45,18 @@ class Client:
     def __init__(self, address: str) -> None:
         self._aravis = ctypes.CDLL("libaravis-0.8.so.0")
         self._gobject = ctypes.CDLL("libgobject-2.0.so.0")
-        self._camera = self._call("camera_new", c_void_p, (c_char_p, address.encode()))
+        self._camera = self._found(address)
         self._stream: int | None = None
+
+    def _found(self, address: str) -> Any:
+        """The camera there: Aravis waits for a fraction of a second, a busy machine may be late for it."""
+        end_s = time.monotonic() + FOUND_WITHIN_S
+        while True:
+            try:
+                return self._call("camera_new", c_void_p, (c_char_p, address.encode()))
+            except OSError:
+                if time.monotonic() > end_s:
+                    raise
 
     def _plain(self, name: str, result: Any, *arguments: tuple[Any, Any]) -> Any:
         function = getattr(self._aravis, f"arv_{name}")
